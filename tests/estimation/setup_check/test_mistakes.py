@@ -20,7 +20,7 @@ from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Counts, Log, Tracks
-from trackslip_estimation.setup_check.places import slides
+from trackslip_estimation.setup_check.places import is_sliding
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SPROCKETS
 
@@ -619,5 +619,5 @@ def test_a_count_that_is_stated_far_too_small_is_named(counts: Counts, expected:
 def test_machine_that_moves_across_its_heading_in_both_gears_slides(slide: float, *, expected: bool) -> None:
     """A slide on a side slope of clay must not be reported as a wrong radius or a wrong heading."""
     log = make_drive(programme=STRAIGHT, slide=slide)
-    found = slides(Drive.of(log, log.gyros[0], log.fixes[0], log.compasses[0]))
+    found = is_sliding(Drive.from_sources(log, log.gyros[0], log.fixes[0], log.compasses[0]))
     assert found is expected

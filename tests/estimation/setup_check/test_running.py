@@ -13,9 +13,9 @@ from fixtures.setup_drives import make_drive
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.health import OK, WARN
 from trackslip_estimation.nodes.setup_monitor import setup_health
-from trackslip_estimation.setup_check.finding import Result, Undetermined
+from trackslip_estimation.setup_check.finding import OpenQuestion, Result
 from trackslip_estimation.setup_check.log import Log
-from trackslip_estimation.setup_check.running import Background, RunningCheck
+from trackslip_estimation.setup_check.running import BackgroundCheck, RunningCheck
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 
@@ -100,7 +100,7 @@ def test_before_anything_is_measured_there_is_no_cause(parameters: SlipEstimator
 
 @pytest.mark.parametrize(("is_wrong", "level"), [(True, WARN), (False, OK)])
 def test_a_mistake_that_is_certain_but_one_of_several_is_a_warning(is_wrong: bool, level: bytes) -> None:
-    question = Undetermined("encoders without a direction, or a cab that swung", "drive in reverse", is_wrong)
+    question = OpenQuestion("encoders without a direction, or a cab that swung", "drive in reverse", is_wrong)
     found = setup_health(Result(undetermined=(question,)))
     assert found.level == level
     assert (
@@ -116,7 +116,7 @@ def test_a_failure_of_an_evaluation_is_reported(parameters: SlipEstimatorParamet
         raise InputError("no")
 
     check.evaluate = fail  # type: ignore[method-assign]
-    background = Background(check, failures.append)
+    background = BackgroundCheck(check, failures.append)
     background.start()
     background.join()
     assert [str(failure) for failure in failures] == ["no"]

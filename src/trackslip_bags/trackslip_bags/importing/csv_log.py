@@ -21,7 +21,7 @@ from trackslip_bags.importing.times import LIMIT_NS, time_text, too_late
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
-from trackslip_estimation.setup_check.count_angle import COARSER, MORE_DIGITS, rounding_of
+from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
 _SEVERAL = 3  # rows of a topic, which need more than one time
@@ -161,7 +161,7 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
             continue
         stated = float(np.sqrt(np.median(spreads[axis])))
         rounding = rounding_of(metres[name] * columns[name], stated)
-        if rounding > COARSER * stated:
+        if rounding > LEAST_ROUNDING_RATIO * stated:
             place = f"{table.path}: column '{topic.columns[name].names[0]}'"
             has = f"is rounded by {rounding:.2g} m, and stddev of {axis} is {stated:.2g} m"
             accepted = f"{MORE_DIGITS}, or {rounding:.2g} m or more"

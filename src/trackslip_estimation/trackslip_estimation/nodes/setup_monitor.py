@@ -9,7 +9,7 @@ from rclpy.clock import Clock, ClockType
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_estimation.setup_check.finding import Result
-from trackslip_estimation.setup_check.running import Background, RunningCheck
+from trackslip_estimation.setup_check.running import BackgroundCheck, RunningCheck
 from trackslip_estimation.slip.measurements import Command, Input, Reload
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
@@ -26,7 +26,7 @@ class SetupMonitor:
     ) -> None:
         self._node = node
         self._running = RunningCheck(node.settings)
-        self._background = Background(self._running, failed)
+        self._background = BackgroundCheck(self._running, failed)
         node.create_timer(_PERIOD, self._evaluate, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def add_input(self, given: Input) -> None:

@@ -17,118 +17,121 @@ from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
 from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.faults import Missing, without_missing
+from trackslip_estimation.setup_check.faults import MissingValue, remove_missing
 from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
     LEAST_ODDS,
     Cause,
-    Measured,
+    MeasuredValue,
+    OpenQuestion,
     Result,
-    Undetermined,
     odds_of,
 )
-from trackslip_estimation.setup_check.fit import Lever, scales
+from trackslip_estimation.setup_check.fit import Lever, segment_scales
 from trackslip_estimation.setup_check.grid import WINDOW, make_grid, window_sums
 from trackslip_estimation.setup_check.gyro_scale import judge_scale
-from trackslip_estimation.setup_check.heading import unit_log
+from trackslip_estimation.setup_check.heading import heading_unit
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
-from trackslip_estimation.setup_check.path import thinned, with_shown_noise
+from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
-from trackslip_estimation.setup_check.turning import LEAST_TURNS, scale_of, turns_of
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns, turn_scale
 
 _UNIT_GAIN = 8.0  # ln likelihood ratio: another unit of headings, a delay against a lever arm
 _SEGMENTS = (2.5, 5.0, 10.0, 20.0, 40.0)  # s, lengths of segments
-_STILL = Undetermined("everything: the tracks hardly move", "drive 10 m straight, and turn by 90° each way")
-_SLIDES = Undetermined(
+_STANDSTILL_QUESTION = OpenQuestion(
+    "everything: the tracks hardly move", "drive 10 m straight, and turn by 90° each way"
+)
+_SLIDING_QUESTION = OpenQuestion(
     "rolling radius, unit of the speeds, and headings, of a machine that slides across its heading",
     "drive 10 m straight on level ground",
 )
 
 
 @dataclass
-class _Found:
+class _Findings:
     """Causes, open questions and measured values of the steps so far."""
 
     causes: list[Cause] = field(default_factory=list)
-    undetermined: list[Undetermined] = field(default_factory=list)
-    measured: list[Measured] = field(default_factory=list)
+    undetermined: list[OpenQuestion] = field(default_factory=list)
+    measured: list[MeasuredValue] = field(default_factory=list)
 
-    def has(self, name: str) -> bool:
+    def has_cause(self, name: str) -> bool:
         """Whether a cause of this name was found."""
         return any(cause.cause == name for cause in self.causes)
 
-    def add(self, causes: Sequence[Cause], undetermined: Sequence[Undetermined] = ()) -> None:
+    def add(self, causes: Sequence[Cause], undetermined: Sequence[OpenQuestion] = ()) -> None:
         self.causes += causes
         self.undetermined += undetermined
 
 
 def check(log: Log) -> Result:
     """Causes, those with the highest odds first, and what the log cannot decide."""
-    found = _Found()
+    found = _Findings()
     with np.errstate(all="ignore"):
-        facts = _check(log, found)
+        facts = _run_steps(log, found)
     causes = [cause for cause in found.causes if cause.odds >= LEAST_ODDS]
     causes.sort(key=lambda cause: -cause.odds)
     open_ones = tuple(dict.fromkeys(found.undetermined))
     return Result(tuple(causes), open_ones, tuple(facts), tuple(found.measured))
 
 
-def _check(log: Log, found: _Found) -> list[str]:
-    log, missing = without_missing(log)
+def _run_steps(log: Log, found: _Findings) -> list[str]:
+    log, missing = remove_missing(log)
     found.add([_missing_cause(one) for one in missing])
-    log, causes = clocks.with_right_times(log)
+    log, causes = clocks.correct_time_units(log)
     found.add(causes)
     if not causes:  # else the log may lack the sources in another unit
         log, causes = with_common_clock(log)
         found.add(causes)
     found.add(clocks.judge_fractions(log))
     found.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
-    log = replace(log, fixes=tuple(with_shown_noise(one) for one in log.fixes))
+    log = replace(log, fixes=tuple(with_measured_noise(one) for one in log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
-        found.add([], [_STILL])
+        found.add([], [_STANDSTILL_QUESTION])
         return []
-    log, drive = _with_right_quantities(log, found)
+    log, drive = _correct_quantities(log, found)
     rough = speeds.rough_scale(drive)
-    unit = speeds.unit_of(rough, speeds.units_of(log))
+    unit = speeds.likely_unit(rough, speeds.speed_units(log))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
-    state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
-    drive = state.drive if state.unit != 1.0 or state.is_contradicted else _in_radians(state.drive, found)
+    state = _examine_first_gyro(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
+    is_unclear = state.unit != 1.0 or state.is_contradicted
+    drive = state.drive if is_unclear else _remove_wrong_headings(state.drive, found)
     causes, open_ones = clocks.judge_drift(drive)
     found.add(causes, open_ones)
     if causes or open_ones:  # a drifting clock changes all relations between sources
-        return facts_of(log, drive, unit)
+        return summary_lines(log, drive, unit)
     found.add([], unmoved.judge_turns(drive))
     if questions := unmoved.judge_counting(drive):  # unsigned counts give no path
         found.add([], questions)
-        return facts_of(log, drive, unit)
-    sided = sides.Sides(None) if state.is_contradicted else sides.examine(drive, unit)
-    if any(cause.cause == "frame" for cause in sided.causes):  # the wrong unit explains the distance
+        return summary_lines(log, drive, unit)
+    compared = sides.TracksResult(None) if state.is_contradicted else sides.compare_tracks(drive, unit)
+    if any(cause.cause == "frame" for cause in compared.causes):  # the wrong unit explains the distance
         found.causes = [cause for cause in found.causes if cause.cause != "datum"]
-    found.add(sided.causes, sided.undetermined)
-    if sided.drive is None:
-        return facts_of(log, drive, unit)
-    directions = decide_signs(sided.drive, is_upside_down=state.is_upside_down)
+    found.add(compared.causes, compared.undetermined)
+    if compared.drive is None:
+        return summary_lines(log, drive, unit)
+    directions = decide_signs(compared.drive, is_upside_down=state.is_upside_down)
     found.add(directions.causes, directions.undetermined)
-    undone = directions.undone(sided.drive)
+    corrected = directions.correct_signs(compared.drive)
     if directions.is_decided:
-        _continuous(undone, unit, state.unit, found)
-    return facts_of(log, undone, unit)
+        _judge_continuous(corrected, unit, state.unit, found)
+    return summary_lines(log, corrected, unit)
 
 
-def _with_right_quantities(log: Log, found: _Found) -> tuple[Log, Drive]:
+def _correct_quantities(log: Log, found: _Findings) -> tuple[Log, Drive]:
     """The log with its columns as the right quantities; a drive without gyro, and without wrong fixes."""
-    drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
+    drive, quantity = judge_quantity(Drive.from_sources(log, _first_gyro(log), *_primary_sources(log)))
     found.add([] if quantity is None else [quantity])
-    counts = None if found.has("speed_unit") else judge_counts(log.counts)
+    counts = None if found.has_cause("speed_unit") else judge_counts(log.counts)
     found.add([] if counts is None else [counts])
     log = replace(log, tracks=drive.log.tracks)
     log = log if drive.gyro is None else log.with_gyro(drive.gyro)
     causes, open_ones = unmoved.judge_fixes(drive)
     found.add(causes, open_ones)
-    return log, Drive.of(log, None, None if causes else drive.fixes, drive.compass)
+    return log, Drive.from_sources(log, None, None if causes else drive.fixes, drive.compass)
 
 
-def _missing_cause(one: Missing) -> Cause:
+def _missing_cause(one: MissingValue) -> Cause:
     evidence = (
         f"{one.column} jumps to {one.value:g} and back {one.count} times ({one.share:.1%} of the readings)"
     )
@@ -140,7 +143,7 @@ def _missing_cause(one: Missing) -> Cause:
     return Cause("missing_value", one.source, evidence, odds, remedy)
 
 
-def _primary(log: Log) -> tuple[Fixes | None, Compass | None]:
+def _primary_sources(log: Log) -> tuple[Fixes | None, Compass | None]:
     """The fixes with the most information, and the headings: of the same source if it has any."""
     fixes = max(log.fixes, key=lambda f: len(f.t) / max(f.noise, 0.01), default=None)
     usable = [c for c in log.compasses if not c.is_above and np.isfinite(c.headings).sum() > 10]
@@ -154,26 +157,28 @@ def _first_gyro(log: Log) -> Gyro | None:
     return next((one for one in log.gyros if len(one.t) >= 10), None)
 
 
-def _inertial(drive: Drive, log: Log, found: _Found, *, is_unit_known: bool) -> inertial.Inertial:
+def _examine_first_gyro(
+    drive: Drive, log: Log, found: _Findings, *, is_unit_known: bool
+) -> inertial.GyroResult:
     """Result for the first gyro of the log that has readings."""
     gyro = _first_gyro(log)
     if gyro is None:
-        return inertial.Inertial(drive)
-    state = inertial.examine(drive, gyro, is_unit_known=is_unit_known)
+        return inertial.GyroResult(drive)
+    state = inertial.examine_gyro(drive, gyro, is_unit_known=is_unit_known)
     found.add(state.causes, state.undetermined)
     return state
 
 
-def _in_radians(drive: Drive, found: _Found) -> Drive:
+def _remove_wrong_headings(drive: Drive, found: _Findings) -> Drive:
     """The drive without its headings if they are not in rad; that becomes a cause."""
     compass = drive.compass
     if compass is None or drive.gyro is None:
         return drive
-    scale = scale_of(drive.turn, drive.x, WINDOW)
+    scale = turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
     turned = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
-    factor, gain = unit_log(compass, drive.grid.edges, turned)
-    is_known = turns_of(drive.turn - drive.fit.bias * WINDOW) >= LEAST_TURNS
-    is_known &= float(drive.fit.logs.max()) > _UNIT_GAIN
+    factor, gain = heading_unit(compass, drive.grid.edges, turned)
+    is_known = count_turns(drive.turn - drive.turn_fit.bias * WINDOW) >= LEAST_TURNS
+    is_known &= float(drive.turn_fit.logs.max()) > _UNIT_GAIN
     is_known &= bool(inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1])
     if factor == 1.0 or gain < _UNIT_GAIN or not is_known:
         return drive
@@ -182,96 +187,98 @@ def _in_radians(drive: Drive, found: _Found) -> Drive:
     remedy = f"State its unit in the mapping: yaw: {{column: …, unit: {unit}}}"
     if compass.is_used:
         found.add([Cause(signs.HEADING, compass.name, evidence, odds_of(gain), remedy)])
-    return Drive.of(drive.log, drive.gyro, drive.fixes, None)
+    return Drive.from_sources(drive.log, drive.gyro, drive.fixes, None)
 
 
-def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> None:
+def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, found: _Findings) -> None:
     """Judge quantities with an interval; ``drive`` has right signs and right units of speeds and gyro."""
-    lates = clocks.lates_of(drive)
-    lever = _lever(drive, lates)
-    late = _judge_delays(lates, lever, drive.fixes, found)
-    if late is not None:
-        drive = clocks.undelayed(drive, late)
+    delays = clocks.measure_delays(drive)
+    lever = _fit_lever_arm(drive, delays)
+    delay = _judge_delays(delays, lever, drive.fixes, found)
+    if delay is not None:
+        drive = clocks.remove_delay(drive, delay)
     scale = judge_scale(drive, gyro_unit, lever)
     if scale is not None:
         found.causes = [cause for cause in found.causes if cause.cause != scale.cause]  # replaces a unit
         found.add([scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
-        found.add([], [Undetermined("rolling radius and unit of the speeds", needed)])
+        found.add([], [OpenQuestion("rolling radius and unit of the speeds", needed)])
         return
-    if places.slides(drive):
-        found.add([], [_SLIDES])
+    if places.is_sliding(drive):
+        found.add([], [_SLIDING_QUESTION])
         return
-    if not found.has("speed_unit") and not _judge_distance(drive, drive.fixes, unit, found):
+    if not found.has_cause("speed_unit") and not _judge_distance(drive, drive.fixes, unit, found):
         return  # a lever arm needs the unit of the fixes
-    if drive.gyro is not None and late is None and scale is None:
+    if drive.gyro is not None and delay is None and scale is None:
         found.add(*places.judge_lever(lever, drive.fixes, drive.machine))
     found.add([], places.judge_direction(drive))
     if lever is not None and max(lever.stddevs) < 0.3:
-        found.measured += _arms(lever, drive.fixes)
+        found.measured += _measured_lever_arms(lever, drive.fixes)
     if drive.compass is not None:
         offsets, open_ones, offset = places.judge_offset(drive, drive.compass)
         found.add(offsets, open_ones)
         found.measured += [] if offset is None else [offset]
 
 
-def _lever(drive: Drive, lates: Sequence[clocks.Late]) -> Lever | None:
+def _fit_lever_arm(drive: Drive, delays: Sequence[clocks.SourceDelay]) -> Lever | None:
     """Lever arm of the fixes, by the turns of a gyro: turns by the tracks depend on the ground."""
     fixes = drive.fixes
     if fixes is None or drive.gyro is None:
         return None
-    is_on_time = any(late.gain is None and fixes.name in (late.first, late.second) for late in lates)
-    return places.lever_of(drive.path, fixes, drive.machine.tread, is_on_time=is_on_time)
+    is_on_time = any(delay.gain is None and fixes.name in (delay.first, delay.second) for delay in delays)
+    return places.best_lever(drive.path, fixes, drive.machine.tread, is_on_time=is_on_time)
 
 
 def _judge_delays(
-    lates: list[clocks.Late], lever: Lever | None, fixes: Fixes | None, found: _Found
-) -> clocks.Late | None:
+    delays: list[clocks.SourceDelay], lever: Lever | None, fixes: Fixes | None, found: _Findings
+) -> clocks.SourceDelay | None:
     """The delayed source, unless a lever arm explains its path: in turns, both shift fixes along the path."""
-    found.measured += [_delay(late) for late in lates if late.first == clocks.TRACKS and late.stddev < 0.2]
-    causes, open_ones = ([], []) if found.has("time_unit") else clocks.judge(lates)
-    late = clocks.late_of(causes[0].source, lates) if causes else None
-    if late is not None and late.gain is not None and fixes is not None and late.second == fixes.name:
-        better = late.gain - (0.0 if lever is None else lever.log_ratio)
+    found.measured += [
+        _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
+    ]
+    causes, open_ones = ([], []) if found.has_cause("time_unit") else clocks.judge_delays(delays)
+    delay = clocks.most_precise_delay(causes[0].source, delays) if causes else None
+    if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:
+        better = delay.gain - (0.0 if lever is None else lever.log_ratio)
         if abs(better) < _UNIT_GAIN:
-            what = f"{late.second}: late, or a lever arm"
-            open_ones.append(Undetermined(what, "turn on the spot, and stop and start on straights"))
+            what = f"{delay.second}: late, or a lever arm"
+            open_ones.append(OpenQuestion(what, "turn on the spot, and stop and start on straights"))
         if better < _UNIT_GAIN:
-            causes, late = [], None
+            causes, delay = [], None
     found.add(causes, open_ones)
-    return late
+    return delay
 
 
-def _judge_distance(drive: Drive, fixes: Fixes, unit: float, found: _Found) -> bool:
+def _judge_distance(drive: Drive, fixes: Fixes, unit: float, found: _Findings) -> bool:
     """Judge distance by tracks against distance by fixes; False if the unit of the fixes may be wrong."""
-    fit, thin = drive.fit, thinned(fixes, 0.2)
-    all_scales = [scales(drive.path, thin, length) for length in _SEGMENTS]
-    best = max((one for one in all_scales if one is not None), key=speeds.worth, default=None)
-    is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not found.has("gyro_unit")
+    fit, thin = drive.turn_fit, thin_fixes(fixes, 0.2)
+    all_scales = [segment_scales(drive.path, thin, length) for length in _SEGMENTS]
+    best = max((one for one in all_scales if one is not None), key=speeds.piece_counts, default=None)
+    is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not found.has_cause("gyro_unit")
     turned = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit if is_known else float("nan")
-    causes, open_ones = speeds.judge(best, drive.log, unit, drive.distance_by_fixes, turned)
+    causes, open_ones = speeds.judge_distance(best, drive.log, unit, drive.distance_by_fixes, turned)
     found.add(causes, open_ones)
     return not any(one.is_wrong for one in open_ones)
 
 
-def _delay(late: clocks.Late) -> Measured:
-    basis = "turn rates" if late.gain is None else "path of the fixes"
-    return Measured(
-        "delay", late.second, late.value, 2.0 * late.stddev, "s", f"after the sprockets, by {basis}"
+def _measured_delay(delay: clocks.SourceDelay) -> MeasuredValue:
+    basis = "turn rates" if delay.gain is None else "path of the fixes"
+    return MeasuredValue(
+        "delay", delay.second, delay.value, 2.0 * delay.stddev, "s", f"after the sprockets, by {basis}"
     )
 
 
-def _arms(lever: Lever, fixes: Fixes) -> list[Measured]:
+def _measured_lever_arms(lever: Lever, fixes: Fixes) -> list[MeasuredValue]:
     values = fixes.lever[0] + lever.value.real, fixes.lever[1] + lever.value.imag
     basis = f"{np.degrees(lever.turned):.0f}° of turns"
     return [
-        Measured(f"lever_arm_{axis}", fixes.name, value, 2.0 * stddev, "m", basis)
+        MeasuredValue(f"lever_arm_{axis}", fixes.name, value, 2.0 * stddev, "m", basis)
         for axis, value, stddev in zip("xy", values, lever.stddevs, strict=True)
     ]
 
 
-def facts_of(log: Log, drive: Drive, unit: float) -> list[str]:
+def summary_lines(log: Log, drive: Drive, unit: float) -> list[str]:
     """Lines with distance and turn by each odometer, and rates, for the user to compare with the drive.
 
     ``unit``: factor of the speeds, undone in ``drive``; the lines state the recorded values.

@@ -12,31 +12,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.delay import LATEST, delay_of
+from trackslip_estimation.setup_check.delay import LARGEST_DELAY, correlate_rates
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import time_factor
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
-from trackslip_estimation.setup_check.fit import path_delay
-from trackslip_estimation.setup_check.grid import angles_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.fit import path_delay_logs
+from trackslip_estimation.setup_check.grid import continuous_angles
 from trackslip_estimation.setup_check.log import Fixes, Log, Tracks
-from trackslip_estimation.setup_check.path import thinned
+from trackslip_estimation.setup_check.path import thin_fixes
 
 LEAST_DELAY = 0.15  # s; shorter ones may come from the ground's response, sensor filters or held values
 _LONGER, _CERTAIN = 2.0, 4.0  # standard deviations: margin of a delay over LEAST_DELAY, and over zero
-_FINE = 0.15  # s, standard deviation below which a delay by turn rates is preferred
-_LATES = np.arange(-2.0, 2.01, 0.1)  # s, delays that are tried by the shape of the path
+_FINE_STDDEV = 0.15  # s, standard deviation below which a delay by turn rates is preferred
+_TRIED_DELAYS = np.arange(-2.0, 2.01, 0.1)  # s, delays that are tried by the shape of the path
 _LENGTHS = (10.0, 20.0)  # s, of segments
-_LEAST_SEGMENTS, _SHOWN = 5, 2.0  # segments that show a delay; least range of ln likelihood in each
+_LEAST_SEGMENTS, _LEAST_LOG_RANGE = 5, 2.0  # segments that show a delay; least range of ln likelihood in each
 TRACKS = "sprockets"
 _LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings per stamp, s
 _PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive per delay; numbers of such parts
-_LATEST = 0.8 * LATEST  # s; beyond it the next part may show no delay, or that of another turn
+_LARGEST_PART_DELAY = 0.8 * LARGEST_DELAY  # s; beyond it the next part may show that of another turn, or none
 _NAMES = {1e-9: "ns, declared s", 1e-6: "µs, declared s", 1e-3: "ms, declared s"}
 _NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
 
 
 @dataclass(frozen=True)
-class Late:
+class SourceDelay:
     """Delay of the stamps of the second source after those of the first."""
 
     first: str  # topic
@@ -46,12 +46,12 @@ class Late:
     gain: float | None = None  # ln likelihood ratio over no delay; None: by turn rates
 
 
-def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
+def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
     """The log in s, and the sources whose stamps were in another unit.
 
     A source in another unit than the tracks is left out: the origin of its stamps is unknown.
     """
-    series = _series(log)
+    series = _source_stamps(log)
     factors = {name: time_factor(t, kind) for name, kind, t in series}
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
@@ -73,10 +73,10 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
         evidence = f"stamps of {who} are {period:.3g} s apart; as {_NAMES[factor]}, {period * factor:.3g} s"
         remedy = f"State the unit in the mapping: time: {{column: …, unit: {_NAMES[factor].split(',')[0]}}}"
         causes.append(Cause("time_unit", "all" if whole else name, evidence, odds_of(12.0), remedy))
-    return _scaled(log, factors), causes
+    return _scale_stamps(log, factors), causes
 
 
-def _series(log: Log) -> list[tuple[str, str, FloatArray]]:
+def _source_stamps(log: Log) -> list[tuple[str, str, FloatArray]]:
     """Topic, kind and stamps (n,), s, of each source."""
     series: list[tuple[str, str, FloatArray]] = [(TRACKS, "tracks", log.tracks.t)]
     series += [(g.name, "gyro", g.t) for g in log.gyros]
@@ -86,7 +86,7 @@ def _series(log: Log) -> list[tuple[str, str, FloatArray]]:
 def judge_fractions(log: Log) -> list[Cause]:
     """A cause for each source with several readings per stamp, where all stamps are whole seconds."""
     causes = []
-    for name, _, t in _series(log):
+    for name, _, t in _source_stamps(log):
         seconds, per_stamp = np.diff(t), log.per_stamp.get(name, 1.0)
         is_whole = bool((np.abs(seconds - np.round(seconds)) < _EXACT).all())
         if len(t) < _LEAST_STAMPS or per_stamp < _SEVERAL or not is_whole:
@@ -102,33 +102,33 @@ def judge_fractions(log: Log) -> list[Cause]:
     return causes
 
 
-def _scaled(log: Log, factors: dict[str, float]) -> Log:
+def _scale_stamps(log: Log, factors: dict[str, float]) -> Log:
     start, common = float(log.tracks.t[0]), factors[TRACKS]
 
-    def right(t: FloatArray) -> FloatArray:
+    def scale(t: FloatArray) -> FloatArray:
         return start + (t - start) * common
 
-    t = right(log.tracks.t)
+    t = scale(log.tracks.t)
     angles, speeds = log.tracks.angles, log.tracks.speeds
     if common != 1.0 and np.isfinite(speeds).all():
-        angles = angles_of(t, speeds, np.full(speeds.shape, np.nan))
+        angles = continuous_angles(t, speeds, np.full(speeds.shape, np.nan))
     similar = {name for name, factor in factors.items() if factor == common}
-    gyros = tuple(replace(g, t=right(g.t)) for g in log.gyros if g.name in similar)
-    fixes = tuple(replace(f, t=right(f.t)) for f in log.fixes if f.name in similar)
+    gyros = tuple(replace(g, t=scale(g.t)) for g in log.gyros if g.name in similar)
+    fixes = tuple(replace(f, t=scale(f.t)) for f in log.fixes if f.name in similar)
     known = similar | ({c.name for c in log.compasses} - factors.keys())
-    compasses = tuple(replace(c, t=right(c.t)) for c in log.compasses if c.name in known)
+    compasses = tuple(replace(c, t=scale(c.t)) for c in log.compasses if c.name in known)
     return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
 
 
-def lates_of(drive: Drive) -> list[Late]:
+def measure_delays(drive: Drive) -> list[SourceDelay]:
     """Delays between pairs of tracks, gyro, headings and fixes, as far as the drive shows them."""
-    found: list[Late] = []
+    found: list[SourceDelay] = []
     rates = _turn_rates(drive)
     for first, second in itertools.combinations(rates, 2):
-        delay = delay_of(rates[first], rates[second], drive.grid.cell)
+        delay = correlate_rates(rates[first], rates[second], drive.grid.cell)
         if delay is not None:
-            found.append(Late(first, second, delay.value, delay.stddev))
-    return found + ([] if drive.fixes is None else _of_path(drive, drive.fixes, found))
+            found.append(SourceDelay(first, second, delay.value, delay.stddev))
+    return found + ([] if drive.fixes is None else _fix_delays(drive, drive.fixes, found))
 
 
 def _turn_rates(drive: Drive) -> dict[str, FloatArray]:
@@ -142,7 +142,7 @@ def _turn_rates(drive: Drive) -> dict[str, FloatArray]:
     return rates
 
 
-def judge_drift(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
+def judge_drift(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
     """A clock that is fast or slow: the delay of one source against all others grows with time."""
     rates = _turn_rates(drive)
     drifts = {
@@ -161,7 +161,7 @@ def judge_drift(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     )
     if len(suspects) != 1:
         return [], [
-            Undetermined(f"stamps of {first} and {second} drift apart {apart}", remedy, is_wrong=True)
+            OpenQuestion(f"stamps of {first} and {second} drift apart {apart}", remedy, is_wrong=True)
         ]
     (name,) = suspects
     evidence = f"stamps of {name} drift from those of the other sources {apart}: its clock is fast or slow"
@@ -175,9 +175,9 @@ def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, b
         return None
     size = len(first) // count
     parts = [slice(k * size, (k + 1) * size) for k in range(count)]
-    delays = [delay_of(first[part], second[part], cell) for part in parts]
+    delays = [correlate_rates(first[part], second[part], cell) for part in parts]
     shown = [(k * size * cell, delay.value) for k, delay in enumerate(delays) if delay is not None]
-    end = next((k for k, (_, value) in enumerate(shown) if abs(value) > _LATEST), len(shown))
+    end = next((k for k, (_, value) in enumerate(shown) if abs(value) > _LARGEST_PART_DELAY), len(shown))
     if end < _LEAST_PARTS:
         return None
     t, values = np.array(shown[:end]).T
@@ -189,58 +189,64 @@ def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, b
     return slope, abs(slope) * span > least
 
 
-def _of_path(drive: Drive, fixes: Fixes, found: list[Late]) -> list[Late]:
+def _fix_delays(drive: Drive, fixes: Fixes, found: list[SourceDelay]) -> list[SourceDelay]:
     """Delays of fixes after dead reckoning by tracks; by tracks and gyro if these have no mutual delay."""
     gyro = drive.gyro.name if drive.gyro is not None else ""
     apart = next((one for one in found if (one.first, one.second) == (TRACKS, gyro)), None)
     is_common = apart is not None and abs(apart.value) < LEAST_DELAY
-    path, thin = drive.path if is_common else drive.track_path, thinned(fixes, 0.3)
-    own = [_by_segments(path_delay(path, thin, length, _LATES), fixes) for length in _LENGTHS]
-    best = min((late for late in own if late is not None), key=lambda late: late.stddev, default=None)
+    path, thin = drive.path if is_common else drive.track_path, thin_fixes(fixes, 0.3)
+    own = [
+        _delay_by_segments(path_delay_logs(path, thin, length, _TRIED_DELAYS), fixes) for length in _LENGTHS
+    ]
+    best = min((delay for delay in own if delay is not None), key=lambda delay: delay.stddev, default=None)
     if best is None:
         return []
     if apart is None:
         return [best]
     both = float(np.hypot(best.stddev, apart.stddev))
-    return [best, Late(gyro, fixes.name, best.value - apart.value, both, best.gain)]
+    return [best, SourceDelay(gyro, fixes.name, best.value - apart.value, both, best.gain)]
 
 
-def _by_segments(of_segments: FloatArray, fixes: Fixes) -> Late | None:
+def _delay_by_segments(of_segments: FloatArray, fixes: Fixes) -> SourceDelay | None:
     """Delay by (d, s) likelihoods; None where the maximum is at an end of the search, or not significant."""
     logs = of_segments.sum(axis=1)
     k = int(np.argmax(logs))
-    if k in (0, len(_LATES) - 1) or not _is_consistent(of_segments, k):
+    if k in (0, len(_TRIED_DELAYS) - 1) or not _is_consistent(of_segments, k):
         return None
-    gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
-    if abs(_LATES[k]) > LEAST_DELAY and gain < LEAST_LOG + PRIOR:
+    gain = float(logs[k] - logs[int(np.argmin(np.abs(_TRIED_DELAYS)))])
+    if abs(_TRIED_DELAYS[k]) > LEAST_DELAY and gain < LEAST_LOG + PRIOR:
         return None
     near = np.flatnonzero(logs > logs[k] - 2.0)
-    stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
-    return Late(TRACKS, fixes.name, float(_LATES[k]), max(stddev, _jackknife(of_segments, k)), gain)
+    stddev = float(_TRIED_DELAYS[near[-1]] - _TRIED_DELAYS[near[0]]) / 4.0 + 0.03
+    return SourceDelay(
+        TRACKS, fixes.name, float(_TRIED_DELAYS[k]), max(stddev, _jackknife(of_segments, k)), gain
+    )
 
 
 def _is_consistent(of_segments: FloatArray, best: int) -> bool:
     """Whether enough segments of (d, s) likelihoods show a delay, and half of them the delay ``best``."""
-    shown = of_segments[:, np.ptp(of_segments, axis=0) > _SHOWN]
+    shown = of_segments[:, np.ptp(of_segments, axis=0) > _LEAST_LOG_RANGE]
     if shown.shape[1] < _LEAST_SEGMENTS:
         return False
-    own = _LATES[np.argmax(shown, axis=0)]
-    return bool((np.abs(own - _LATES[best]) < LEAST_DELAY).mean() >= 0.5)
+    own = _TRIED_DELAYS[np.argmax(shown, axis=0)]
+    return bool((np.abs(own - _TRIED_DELAYS[best]) < LEAST_DELAY).mean() >= 0.5)
 
 
 def _jackknife(of_segments: FloatArray, best: int) -> float:
     """Standard deviation, s, of the delay of (d, s) likelihoods, by leaving out one segment at a time."""
     without = of_segments.sum(axis=1)[:, np.newaxis] - of_segments
-    moved = _LATES[np.argmax(without, axis=0)] - _LATES[best]
+    moved = _TRIED_DELAYS[np.argmax(without, axis=0)] - _TRIED_DELAYS[best]
     count = len(moved)
-    return float(np.sqrt((count - 1) / count * np.sum(moved**2))) if count > 1 else float(_LATES[-1])
+    return float(np.sqrt((count - 1) / count * np.sum(moved**2))) if count > 1 else float(_TRIED_DELAYS[-1])
 
 
-def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
+def judge_delays(delays: list[SourceDelay]) -> tuple[list[Cause], list[OpenQuestion]]:
     """The source whose stamps are delayed against those of the others."""
     values: dict[tuple[str, str], tuple[float, float]] = {}
-    for late in sorted(lates, key=lambda one: (not (one.gain is None and one.stddev < _FINE), one.stddev)):
-        values.setdefault((late.first, late.second), (late.value, late.stddev))
+    for delay in sorted(
+        delays, key=lambda one: (not (one.gain is None and one.stddev < _FINE_STDDEV), one.stddev)
+    ):
+        values.setdefault((delay.first, delay.second), (delay.value, delay.stddev))
     off = {
         key: (value, stddev)
         for key, (value, stddev) in values.items()
@@ -264,12 +270,12 @@ def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
             f"{b} is {abs(value):.2f} s "
             f"{'later' if value > 0.0 else 'earlier'} than {a}: which of them is off"
         )
-        return [], [Undetermined(what, "record a third source (gyro or fixes) while turning left and right")]
+        return [], [OpenQuestion(what, "record a third source (gyro or fixes) while turning left and right")]
     signed = [(values[key][0] if key[1] == best else -values[key][0], values[key][1]) for key in pairs]
     value, stddev = min(signed, key=lambda v: v[1])
     if others and scores[others[0]] == scores[best] and len(values) < 3:
         what = f"{best} is off by {abs(value):.2f} s against one other source only"
-        return [], [Undetermined(what, "turn left and right by 90° once each with all sources recorded")]
+        return [], [OpenQuestion(what, "turn left and right by 90° once each with all sources recorded")]
     evidence = (
         f"stamps of {best} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
         f"{'later' if value > 0.0 else 'earlier'} than "
@@ -283,9 +289,9 @@ def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
     return [Cause("source_delay", best, evidence, odds, remedy)], []
 
 
-def undelayed(drive: Drive, late: Late) -> Drive:
+def remove_delay(drive: Drive, delay: SourceDelay) -> Drive:
     """The drive with the delay taken off the stamps of the second source of a pair."""
-    log, source, value = drive.log, late.second, late.value
+    log, source, value = drive.log, delay.second, delay.value
     if source == TRACKS:
         return Drive(replace(log, tracks=replace(log.tracks, t=log.tracks.t - value)))
     gyros = tuple(replace(g, t=g.t - value) if g.name == source else g for g in log.gyros)
@@ -294,10 +300,10 @@ def undelayed(drive: Drive, late: Late) -> Drive:
     return Drive(replace(log, gyros=gyros, fixes=fixes, compasses=compasses))
 
 
-def late_of(source: str, lates: list[Late]) -> Late:
+def most_precise_delay(source: str, delays: list[SourceDelay]) -> SourceDelay:
     """The pair with the most precise delay of a source, ordered with that source as its second."""
-    own = [late for late in lates if source in (late.first, late.second)]
-    best = min(own, key=lambda late: (late.gain is not None, late.stddev))
+    own = [delay for delay in delays if source in (delay.first, delay.second)]
+    best = min(own, key=lambda delay: (delay.gain is not None, delay.stddev))
     return (
         best
         if best.second == source

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.count_angle import angle_of_count
-from trackslip_estimation.setup_check.grid import angles_of
+from trackslip_estimation.setup_check.grid import continuous_angles
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
 
 Rows = NDArray[np.void]  # of at least the fields of ``records.MEASUREMENT``
 
-_NO_HEADING = 0.3**2  # rad², variance from which a heading counts as unmeasured
-_NO_RATE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
-_LARGEST = 1e12  # magnitude of any valid number
+_UNMEASURED_HEADING_VARIANCE = 0.3**2  # rad², variance from which a heading counts as unmeasured
+_UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
+_LARGEST_VALUE = 1e12  # magnitude of any valid number
 _OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from the median stamp of a source
 _KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
-_MOST = 2_000_000  # readings of a source: hours; later ones are not compared
+_MOST_READINGS = 2_000_000  # readings of a source: hours; later ones are not compared
 
 Key: TypeAlias = tuple[int, str]  # kind of ``slip.records``, source
 Columns: TypeAlias = dict[Key, tuple[NDArray[np.int64], FloatArray]]
@@ -45,9 +45,9 @@ class Collector:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
                 own, key = of_kind[of_kind["source"] == number], (kind, sources[number])
-                if self.counts.get(key, 0) < _MOST:
+                if self.counts.get(key, 0) < _MOST_READINGS:
                     self.counts[key] = self.counts.get(key, 0) + len(own)
-                    found = own["stamp_ns"].astype(np.int64), _values(kind, own)
+                    found = own["stamp_ns"].astype(np.int64), _column_values(kind, own)
                     self.parts.setdefault(key, []).append(found)
 
     def log(self) -> Log | None:
@@ -69,17 +69,17 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
     per_stamp: dict[str, float] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
-        t, sound, lost = _sound(stamps, _refined(key[0], values), start, key[0])
+        t, sound, lost = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
         left_out |= {key[1]: lost} if lost else {}
         if len(t):
             ready[key] = t, sound
             per_stamp[key[1]] = (len(stamps) - lost) / len(t)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
-    return replace(_log(ready, p, left_out), per_stamp=per_stamp)
+    return replace(_make_log(ready, p, left_out), per_stamp=per_stamp)
 
 
-def _values(kind: int, rows: Rows) -> FloatArray:
+def _column_values(kind: int, rows: Rows) -> FloatArray:
     """(n, k) values of one source, in the order of ``Columns``."""
     if kind == SPROCKETS:
         names = ("left_speed", "right_speed", "left_angle", "right_angle")
@@ -92,12 +92,14 @@ def _values(kind: int, rows: Rows) -> FloatArray:
     return rows["value"][:, :1].copy()
 
 
-def _refined(kind: int, values: FloatArray) -> FloatArray:
+def _mask_unmeasured(kind: int, values: FloatArray) -> FloatArray:
     """Values without the variances of rates and headings; nan where a variance marks them as unmeasured."""
     if kind == YAW_RATE:
-        return np.column_stack((np.where(values[:, 3:6] > _NO_RATE, np.nan, values[:, :3]), values[:, 6:]))
+        return np.column_stack(
+            (np.where(values[:, 3:6] > _UNMEASURED_RATE_VARIANCE, np.nan, values[:, :3]), values[:, 6:])
+        )
     if kind == POSE:
-        heading = np.where(values[:, 5] < _NO_HEADING, values[:, 2], np.nan)
+        heading = np.where(values[:, 5] < _UNMEASURED_HEADING_VARIANCE, values[:, 2], np.nan)
         return np.column_stack((values[:, :2], heading, values[:, 3:5]))
     return values
 
@@ -105,7 +107,7 @@ def _refined(kind: int, values: FloatArray) -> FloatArray:
 _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEADING: slice(0, 1)}
 
 
-def _sound(
+def _valid_readings(
     stamps: NDArray[np.int64], values: FloatArray, start_ns: int, kind: int
 ) -> tuple[FloatArray, FloatArray, int]:
     """Times (n,), s, ascending, and the first valid values at each; the number of invalid readings.
@@ -114,13 +116,13 @@ def _sound(
     """
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
-        sound = (np.abs(needed) < _LARGEST).all(axis=1)
+        sound = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
     sound &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
     t, first = np.unique((stamps[sound] - start_ns) * 1e-9, return_index=True)
     return t, values[sound][first], int((~sound).sum())
 
 
-def _log(
+def _make_log(
     ready: Mapping[tuple[int, str], tuple[FloatArray, FloatArray]],
     p: SlipEstimatorParameters,
     left_out: dict[str, int],
@@ -131,7 +133,7 @@ def _log(
     poses, stated, headings, angles = p.poses(), p.gyros(), p.compasses(), p.swing_encoders()
     for (kind, name), (t, values) in ready.items():
         if kind == SPROCKETS:
-            tracks = Tracks(t, values[:, :2], angles_of(t, values[:, :2], values[:, 2:4]))
+            tracks = Tracks(t, values[:, :2], continuous_angles(t, values[:, :2], values[:, 2:4]))
             counts = Counts(angle_of_count(t, values[:, :2], values[:, 2:4]), p.encoder_resolution)
         elif kind == YAW_RATE and name in stated:
             imu = stated[name]
@@ -154,12 +156,12 @@ def _log(
         elif kind == ON_SWING and name in angles:
             swing = t, values[:, 0] - angles[name].offset
     if swing is not None:
-        compasses = [_of_undercarriage(one, swing) for one in compasses]
+        compasses = [_undercarriage_compass(one, swing) for one in compasses]
     geometry = Machine(machine.rolling_radius, machine.tread, machine.contact_length)
     return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, left_out, counts)
 
 
-def _of_undercarriage(compass: Compass, swing: tuple[FloatArray, FloatArray]) -> Compass:
+def _undercarriage_compass(compass: Compass, swing: tuple[FloatArray, FloatArray]) -> Compass:
     """The compass with headings of the undercarriage: the swing is taken off those of the upper structure."""
     if not compass.is_above or len(swing[0]) < 2:
         return compass

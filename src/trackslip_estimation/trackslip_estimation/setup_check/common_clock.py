@@ -4,7 +4,7 @@
 
     r(τ) = correlation of |v| by the tracks at t and |v| by the fixes at t + τ
 
-Neither signs nor units change r. ``clocks`` resolves delays below ``LATEST``, with a finer step.
+Neither signs nor units change r. ``clocks`` resolves delays below ``LARGEST_DELAY``, with a finer step.
 """
 
 from dataclasses import replace
@@ -13,16 +13,18 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.delay import LATEST
+from trackslip_estimation.setup_check.delay import LARGEST_DELAY
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.log import Fixes, Gyro, Log, Tracks
 
-_FARTHEST, _OVERLAP = 60.0, 0.75  # s, largest delay that is tried; share of the readings that must overlap
+_LARGEST_SHIFT = 60.0  # s, largest delay that is tried
+_OVERLAP = 0.75  # share of the readings that must overlap
 _STEP, _WINDOW = 0.5, 2.0  # s, between delays; length of the window of a speed
 _WIDTH = 4.0  # s about the maximum of r that belong to it
 _LEAST_READINGS = 10
-_LEAST_APART = 150.0  # s without readings: longer than outages, and than the data of a running check
-_LEAST, _MOST = 0.9, 0.999  # correlation; spinning tracks lower it for right stamps too
+_LEAST_SEPARATION = 150.0  # s without readings: longer than outages, and than the data of a running check
+_LEAST_CORRELATION = 0.9  # spinning tracks lower it for right stamps too
+_MOST_CORRELATION = 0.999
 
 
 class _Shift(NamedTuple):
@@ -36,14 +38,14 @@ class _Shift(NamedTuple):
 
 def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
     """The log on the clock of the tracks, and a cause for each source on another one."""
-    causes = _elsewhere(log)
+    causes = _judge_overlap(log)
     elsewhere = {cause.source for cause in causes}
     shifts = {}
     for one in log.fixes:
-        shift = None if one.name in elsewhere else _shift_of(log.tracks, log.machine.radius, one)
+        shift = None if one.name in elsewhere else _fix_shift(log.tracks, log.machine.radius, one)
         if shift is not None:
             shifts[one.name] = shift.value
-            causes.append(_cause(one.name, shift))
+            causes.append(_shift_cause(one.name, shift))
     if not causes:
         return log, []
     gyros = tuple(one for one in log.gyros if one.name not in elsewhere)
@@ -54,7 +56,7 @@ def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
     return replace(log, gyros=gyros, fixes=kept, compasses=tuple(compasses)), causes
 
 
-def _elsewhere(log: Log) -> list[Cause]:
+def _judge_overlap(log: Log) -> list[Cause]:
     """A cause for each source whose readings all lie before the first of the tracks, or after the last."""
     begin, end = float(log.tracks.t[0]), float(log.tracks.t[-1])
     found = []
@@ -63,7 +65,7 @@ def _elsewhere(log: Log) -> list[Cause]:
         if len(one.t) < _LEAST_READINGS or len(log.tracks.t) < _LEAST_READINGS:
             continue
         late, early = float(one.t[0]) - end, begin - float(one.t[-1])
-        if max(late, early) < _LEAST_APART:
+        if max(late, early) < _LEAST_SEPARATION:
             continue
         where = f"begins {late:.0f} s after the end" if late > 0.0 else f"ends {early:.0f} s before the begin"
         evidence = f"{one.name} {where} of the sprockets: the two have no time in common"
@@ -73,7 +75,7 @@ def _elsewhere(log: Log) -> list[Cause]:
     return found
 
 
-def _cause(name: str, shift: _Shift) -> Cause:
+def _shift_cause(name: str, shift: _Shift) -> Cause:
     order = "later" if shift.value > 0.0 else "earlier"
     evidence = (
         f"speeds by {name} follow those of the sprockets {abs(shift.value):.1f} s {order}: correlation "
@@ -84,8 +86,8 @@ def _cause(name: str, shift: _Shift) -> Cause:
     return Cause("source_delay", name, evidence, odds_of(shift.gain), remedy)
 
 
-def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
-    """Delay of the fixes beyond ``LATEST``; None where the drive shows none."""
+def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
+    """Delay of the fixes beyond ``LARGEST_DELAY``; None where the drive shows none."""
     sound = np.isfinite(fixes.places).all(axis=1)
     if min(len(tracks.t), int(sound.sum())) < _LEAST_READINGS:
         return None
@@ -93,13 +95,14 @@ def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     last = max(float(tracks.t[-1]), float(fixes.t[sound][-1]))
     period = float(np.median(np.diff(fixes.t[sound])))
     times = np.arange(first, last, _STEP)
-    by_tracks = _speeds(tracks.t, tracks.angles.mean(axis=1, keepdims=True) * radius, times)
-    by_fixes = _speeds(fixes.t[sound], fixes.places[sound], times)
-    steps = min(round(_FARTHEST / _STEP), len(times) - 1)
+    by_tracks = _window_speeds(tracks.t, tracks.angles.mean(axis=1, keepdims=True) * radius, times)
+    by_fixes = _window_speeds(fixes.t[sound], fixes.places[sound], times)
+    steps = min(round(_LARGEST_SHIFT / _STEP), len(times) - 1)
     shifts = _STEP * np.arange(-steps, steps + 1)
     r, counts = _correlations(by_tracks, by_fixes, steps)
     best = int(np.argmax(r))
-    if not LATEST + max(period - _WINDOW, 0.0) <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST:
+    least = LARGEST_DELAY + max(period - _WINDOW, 0.0)
+    if not least <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST_CORRELATION:
         return None
     of_tracks, of_fixes = (_correlations(one, one, steps)[0] for one in (by_tracks, by_fixes))
     effective = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings per independent one (Bartlett)
@@ -117,7 +120,7 @@ def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     return _Shift(float(shifts[best] + part * _STEP), float(r[best]), without, float(gain))
 
 
-def _speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
+def _window_speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
     """(k,) speeds by (n, d) values in windows about the times; nan outside the readings."""
     ends = [
         np.column_stack([np.interp(times + side * _WINDOW / 2.0, t, one, np.nan, np.nan) for one in values.T])
@@ -141,5 +144,5 @@ def _correlations(a: FloatArray, b: FloatArray, steps: int) -> tuple[FloatArray,
         x, y = first[both] - first[both].mean(), second[both] - second[both].mean()
         scale = float(np.sqrt((x @ x) * (y @ y)))
         if scale > 0.0:
-            r[k], counts[k] = min(float(x @ y) / scale, _MOST), float(both.sum())
+            r[k], counts[k] = min(float(x @ y) / scale, _MOST_CORRELATION), float(both.sum())
     return r, counts

@@ -13,15 +13,16 @@ from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.log import Counts
 
-_NOTHING = 1e-9  # of the largest change: floating-point rounding
-_WHOLE, _SHARE = 0.15, 0.95  # of a count, tolerance of a whole number; share of the changes within it
-_MOST = 5.5  # counts in a change; the digits of a log may hide counts in larger ones
+_ROUNDING_SHARE = 1e-9  # of the largest change: floating-point rounding
+_WHOLE_TOLERANCE = 0.15  # of a count, about a whole number
+_WHOLE_SHARE = 0.95  # of the changes, within this tolerance
+_MOST_COUNTS = 5.5  # counts in a change; the digits of a log may hide counts in larger ones
 _LEAST_CHANGES = 5
-_ROUNDED = 0.1  # share of readings whose change differs from that before
-_COARSE = 5e-3  # rad; a finer count is below the noise of any speed
-_TOO_SMALL = 5.0  # ratio of the shown to the stated angle
+_ROUNDED_SHARE = 0.1  # share of readings whose change differs from that before
+_LEAST_COUNT_ANGLE = 5e-3  # rad; a finer count is below the noise of any speed
+_LEAST_ANGLE_RATIO = 5.0  # ratio of the shown to the stated angle
 _LEAST_STEP = 1e-6  # m, resolution of a place on the earth in 64 bit floats
-COARSER = 2.0  # times the stated standard deviation; the estimator takes steps of such a rounding for motion
+LEAST_ROUNDING_RATIO = 2.0  # to the stated standard deviation; steps of such a rounding count as motion
 MORE_DIGITS = "more digits (of degrees 8, no 32 bit floats)"
 
 
@@ -43,16 +44,18 @@ def least_change(changes: FloatArray) -> float:
     Constant speeds give whole multiples too, but the number of true counts varies between readings.
     """
     changes = np.abs(changes)
-    moves = changes > _NOTHING * changes.max(initial=0.0)
+    moves = changes > _ROUNDING_SHARE * changes.max(initial=0.0)
     if not moves.any():
         return 0.0
     multiples = changes / changes[moves].min()
-    counts, small = np.round(multiples), multiples < _MOST
+    counts, small = np.round(multiples), multiples < _MOST_COUNTS
     shown = moves & small
-    is_whole = np.abs(multiples - counts)[shown] < _WHOLE
+    is_whole = np.abs(multiples - counts)[shown] < _WHOLE_TOLERANCE
     next_to = small[1:] & small[:-1] & (moves[1:] | moves[:-1])
     rounded = np.count_nonzero((counts[1:] != counts[:-1])[next_to])
-    are_counts = np.count_nonzero(is_whole) > _SHARE * len(is_whole) and rounded > _ROUNDED * next_to.sum()
+    are_counts = (
+        np.count_nonzero(is_whole) > _WHOLE_SHARE * len(is_whole) and rounded > _ROUNDED_SHARE * next_to.sum()
+    )
     is_known = len(is_whole) >= _LEAST_CHANGES and are_counts
     return float(np.median(changes[shown] / counts[shown])) if is_known else 0.0
 
@@ -68,7 +71,7 @@ def rounding_of(places: FloatArray, stated: float) -> float:
 
 def judge_counts(counts: Counts) -> Cause | None:
     """A count that is stated far too small: the estimator takes single counts for jumps then."""
-    if counts.shown < _COARSE or counts.stated * _TOO_SMALL > counts.shown:
+    if counts.shown < _LEAST_COUNT_ANGLE or counts.stated * _LEAST_ANGLE_RATIO > counts.shown:
         return None
     evidence = (
         f"the sprockets turn by {counts.shown:.3g} rad at the least, and a count is stated to be "

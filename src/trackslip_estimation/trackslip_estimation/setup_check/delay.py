@@ -8,7 +8,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-LATEST = 2.0  # s, largest delay that is tried
+LARGEST_DELAY = 2.0  # s, largest delay that is tried
 _PIECE = 15.0  # s, length of a piece
 _LEAST_PIECES = 3
 _LEAST_CORRELATION = 0.5
@@ -23,11 +23,11 @@ class Delay(NamedTuple):
     pieces: int  # with enough turning
 
 
-def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
+def correlate_rates(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
     """Delay between two rates (m,) on cells of ``cell`` s; None where they are not correlated."""
-    steps = round(LATEST / cell)
+    steps = round(LARGEST_DELAY / cell)
     usable = np.isfinite(first) & np.isfinite(second)
-    a, b = (_without_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
+    a, b = (_clip_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
     size = round(_PIECE / cell)
     count = (len(a) - 2 * steps) // size
     if count < _LEAST_PIECES:
@@ -45,8 +45,8 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
         windows = windows - windows.mean(axis=0)
         cross[k] = own @ windows
         energies[k, 0], energies[k, 1] = own @ own, np.sum(windows**2, axis=0)
-    total = _peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
-    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LATEST:  # maximum at an end
+    total = _correlation_peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
+    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LARGEST_DELAY:  # maximum at an end
         return None
     strong = energies[:, 0, 0] > 0.02 * energies[:, 0, 0].sum()
     if strong.sum() < 2:
@@ -54,21 +54,23 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
     left: list[float] = []
     for k in np.flatnonzero(strong).tolist():
         rest = np.arange(count) != k
-        found = _peak(cross[rest].sum(axis=0), energies[rest].sum(axis=0), shifts, cell)
+        found = _correlation_peak(cross[rest].sum(axis=0), energies[rest].sum(axis=0), shifts, cell)
         if found is not None:
             left.append(found[0] - total[0])
     n = len(left)
-    spread = float(np.sqrt((n - 1) / n * np.sum(np.square(left)))) if n > 1 else LATEST
+    spread = float(np.sqrt((n - 1) / n * np.sum(np.square(left)))) if n > 1 else LARGEST_DELAY
     return Delay(total[0], max(spread, 0.02), total[1], int(strong.sum()))
 
 
-def _without_spikes(rates: FloatArray) -> FloatArray:
+def _clip_spikes(rates: FloatArray) -> FloatArray:
     """Rates, clipped so that jumps of poses do not dominate the correlation."""
     most = 1.5 * float(np.percentile(np.abs(rates), 98))
     return np.clip(rates, -most, most)
 
 
-def _peak(cross: FloatArray, energy: FloatArray, shifts: IntArray, cell: float) -> tuple[float, float] | None:
+def _correlation_peak(
+    cross: FloatArray, energy: FloatArray, shifts: IntArray, cell: float
+) -> tuple[float, float] | None:
     """Shift of the maximum, s, interpolated between cells, and the correlation there; None without motion."""
     scale = np.sqrt(energy[0] * energy[1])
     if (scale <= 0.0).any():

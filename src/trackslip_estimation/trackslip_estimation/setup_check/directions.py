@@ -9,20 +9,20 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import inertial, remedies, signs
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.evidence import direction_log, gather, unmirrored
-from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.evidence import course_alternatives, direction_log, gather_evidence
+from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.heading import Courses
 from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
-from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
 
-_CLEAR = float(np.log(1e4))  # ln odds at which fewer than three turns suffice
+_CLEAR_LOG_ODDS = float(np.log(1e4))  # ln odds at which fewer than three turns suffice
 _LEAST_TURNED = np.radians(25.0)  # in all, for these odds
 _TURNING = np.radians(2.0)  # in a window
 _LEAST_DISTANCE = 2.0  # m per m of the tread
 MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
-_TURN = "turn left and right by 90° once each, and drive 10 m straight"
+_TURN_REQUEST = "turn left and right by 90° once each, and drive 10 m straight"
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Directions:
     convention: int = 0  # 0: from north, clockwise; 1: clockwise
     is_decided: bool = True
     causes: tuple[Cause, ...] = ()
-    undetermined: tuple[Undetermined, ...] = field(default=())
+    undetermined: tuple[OpenQuestion, ...] = field(default=())
 
-    def undone(self, drive: Drive) -> Drive:
+    def correct_signs(self, drive: Drive) -> Drive:
         """The drive without these mistakes."""
         log, gyro, fixes, compass = drive.log, drive.gyro, drive.fixes, drive.compass
         if gyro is not None:
@@ -50,56 +50,60 @@ class Directions:
         if compass is not None and self.heading < 0.0:
             own = compass.headings
             compass = replace(compass, headings=-own if self.convention else np.pi / 2.0 - own)
-        return Drive.of(log.with_tracks(self.assignment.matrix), gyro, fixes, compass)
+        return Drive.from_sources(log.with_tracks(self.assignment.matrix), gyro, fixes, compass)
 
 
 def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
     """Signs of tracks, gyro, map and headings, decided together."""
-    evidence, gyro = gather(drive), drive.gyro
+    evidence, gyro = gather_evidence(drive), drive.gyro
     decision = decide(evidence)
-    mirror, convention = _kinds(drive, decision)
+    mirror, convention = _best_conventions(drive, decision)
     needs = _missing_motion(drive, decision)
     signed = decision.assignment, decision.gyro, decision.is_mirrored, decision.heading
     found = Directions(*signed, mirror, convention)
     likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     if needs:
         return replace(found, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
-    causes = [_cause(name, log, drive, gyro, mirror, convention) for name, log in likely.items()]
+    causes = [_sign_cause(name, log, drive, gyro, mirror, convention) for name, log in likely.items()]
     if is_upside_down and signs.GYRO in likely and gyro is not None:
         causes = [c for c in causes if c.cause != signs.GYRO]
-        causes.append(inertial.upside_down(gyro, likely[signs.GYRO]))
+        causes.append(inertial.upside_down_cause(gyro, likely[signs.GYRO]))
     open_ones = []
     is_open = decision.any_odds > 0.0 and not likely
     if is_open:
-        sets = [_named(decision), *decision.rivals]
+        sets = [_decided_causes(decision), *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
-        open_ones.append(Undetermined(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
+        open_ones.append(OpenQuestion(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
     untested = set(decision.untested) if not likely and not is_open else set()
     if untested:
         what = f"{', '.join(sorted(untested))}: neither shown nor excluded"
-        open_ones.append(Undetermined(what, _TURN if untested != {signs.BOTH} else _missing_sensor(evidence)))
+        open_ones.append(
+            OpenQuestion(what, _TURN_REQUEST if untested != {signs.BOTH} else _missing_sensor(evidence))
+        )
     return replace(found, is_decided=not is_open, causes=tuple(causes), undetermined=tuple(open_ones))
 
 
-def _missing_motion(drive: Drive, decision: Decision) -> list[Undetermined]:
+def _missing_motion(drive: Drive, decision: Decision) -> list[OpenQuestion]:
     """Turns and distance that the drive lacks."""
-    turn, (left, right) = drive.turn - drive.fit.bias * WINDOW, drive.x.T
-    count, turned = turns_of(turn), float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING])))
+    turn, (left, right) = drive.turn - drive.turn_fit.bias * WINDOW, drive.tracks_over_tread.T
+    count, turned = count_turns(turn), float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING])))
     if drive.gyro is None:
-        count = max(turns_of(0.5 * (right - left)), turns_of(0.5 * (right + left)))
-        count = min(count, turns_of(drive.heading_turn)) if drive.compass is not None else count
+        count = max(count_turns(0.5 * (right - left)), count_turns(0.5 * (right + left)))
+        count = min(count, count_turns(drive.heading_turn)) if drive.compass is not None else count
     distances = [np.abs(window_sums(drive.grid, drive.grid.tracks @ one / 2.0)) for one in signs.DISTANCES]
     distance = max(float(np.nansum(one)) for one in distances)
     needs = []
-    is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
+    is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR_LOG_ODDS
     if count < LEAST_TURNS and not is_clear:
-        needs.append(Undetermined(f"signs of tracks, gyro, fixes and headings ({count} turns of 15°)", _TURN))
+        needs.append(
+            OpenQuestion(f"signs of tracks, gyro, fixes and headings ({count} turns of 15°)", _TURN_REQUEST)
+        )
     if distance < _LEAST_DISTANCE * max(drive.machine.tread, 0.3):
-        needs.append(Undetermined(f"signs of the tracks ({distance:.1f} m driven)", _TURN))
+        needs.append(OpenQuestion(f"signs of the tracks ({distance:.1f} m driven)", _TURN_REQUEST))
     return needs
 
 
-def _named(decision: Decision) -> frozenset[str]:
+def _decided_causes(decision: Decision) -> frozenset[str]:
     others = {signs.GYRO} if decision.gyro < 0.0 else set()
     others |= {signs.MIRROR} if decision.is_mirrored else set()
     others |= {signs.HEADING} if decision.heading < 0.0 else set()
@@ -117,28 +121,30 @@ def _missing_sensor(evidence: Evidence) -> str:
     return "drive 20 m forward, hardly in reverse, with turns of 90° to both sides"
 
 
-def _kinds(drive: Drive, decision: Decision) -> tuple[int, int]:
+def _best_conventions(drive: Drive, decision: Decision) -> tuple[int, int]:
     """Index of the mirror image, and of the other convention of headings, that agree best with courses."""
     steps = drive.courses
     if drive.compass is None or not len(steps.courses):
         return 0, 0
     distances = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
     reverse = np.where(distances @ decision.assignment.distance < 0.0, np.pi, 0.0)
-    courses = unmirrored(steps, is_mirrored=decision.is_mirrored)
-    headings = _headings(steps, decision.heading, 2.0 * drive.compass.offset)
+    courses = course_alternatives(steps, is_mirrored=decision.is_mirrored)
+    headings = _headings_by_convention(steps, decision.heading, 2.0 * drive.compass.offset)
     logs = np.array([[direction_log(c - h - reverse) for h in headings] for c in courses])
     mirror, convention = np.unravel_index(int(np.argmax(logs)), logs.shape)
     return int(mirror), int(convention)
 
 
-def _headings(steps: Courses, sense: float, twice_offset: float) -> list[FloatArray]:
+def _headings_by_convention(steps: Courses, sense: float, twice_offset: float) -> list[FloatArray]:
     """(n,) headings as stated, or in each other convention; the offset that was taken off stays the same."""
     if sense > 0.0:
         return [steps.headings]
     return [np.pi / 2.0 - steps.headings - twice_offset, -steps.headings - twice_offset]
 
 
-def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, convention: int) -> Cause:
+def _sign_cause(
+    name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, convention: int
+) -> Cause:
     topic = {
         signs.GYRO: gyro.name if gyro else "",
         signs.MIRROR: drive.fixes.name if drive.fixes else "",

@@ -10,10 +10,15 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_sums
-from trackslip_estimation.setup_check.heading import Courses, heading_at, steps_of, straight_courses
+from trackslip_estimation.setup_check.heading import (
+    Courses,
+    heading_at,
+    straight_courses,
+    window_displacements,
+)
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine
-from trackslip_estimation.setup_check.path import Path, Shapes, compare, dead_reckoning, thinned
-from trackslip_estimation.setup_check.turning import TurnFit, bias_of, fit_turns
+from trackslip_estimation.setup_check.path import Path, PathFits, compare_paths, dead_reckoning, thin_fixes
+from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, median_bias
 
 USUAL_EFFICIENCY = 0.7  # κ, turning efficiency, where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
@@ -27,18 +32,20 @@ class Drive:
     log: Log
 
     @classmethod
-    def of(cls, log: Log, gyro: Gyro | None, fixes: Fixes | None, compass: Compass | None) -> "Drive":
+    def from_sources(
+        cls, log: Log, gyro: Gyro | None, fixes: Fixes | None, compass: Compass | None
+    ) -> "Drive":
         """A drive of the tracks of a log with these sources."""
         gyros, places = () if gyro is None else (gyro,), () if fixes is None else (fixes,)
         return cls(replace(log, gyros=gyros, fixes=places, compasses=() if compass is None else (compass,)))
 
     def with_gyro(self, gyro: Gyro | None) -> "Drive":
         """The drive with another version of the gyro, or none."""
-        return Drive.of(self.log, gyro, self.fixes, self.compass)
+        return Drive.from_sources(self.log, gyro, self.fixes, self.compass)
 
     def without_fixes(self) -> "Drive":
         """The drive with tracks, gyro and headings only."""
-        return Drive.of(self.log, self.gyro, None, self.compass)
+        return Drive.from_sources(self.log, self.gyro, None, self.compass)
 
     @property
     def machine(self) -> Machine:
@@ -68,7 +75,7 @@ class Drive:
         return grid
 
     @cached_property
-    def x(self) -> FloatArray:
+    def tracks_over_tread(self) -> FloatArray:
         """(w, 2) distances of the tracks in windows over the tread, rad; nan where not recorded."""
         tracks = np.where(self.grid.is_driven[:, np.newaxis], self.grid.tracks, np.nan)
         return window_sums(self.grid, tracks) / self.machine.tread
@@ -81,8 +88,8 @@ class Drive:
     @cached_property
     def unbiased_turn(self) -> FloatArray:
         """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
-        known = np.isfinite(self.turn) & np.isfinite(self.x).all(axis=1)
-        return self.turn - bias_of(self.turn[known], self.x[known], WINDOW) * WINDOW
+        known = np.isfinite(self.turn) & np.isfinite(self.tracks_over_tread).all(axis=1)
+        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known], WINDOW) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:
@@ -99,8 +106,8 @@ class Drive:
     def fix_distances(self) -> FloatArray:
         """(w,) distance by the fixes, m; nan where there is none."""
         if self.fixes is None:
-            return np.full(len(self.x), np.nan)
-        return np.asarray(np.hypot(*steps_of(self.fixes, self.grid).T))
+            return np.full(len(self.tracks_over_tread), np.nan)
+        return np.asarray(np.hypot(*window_displacements(self.fixes, self.grid).T))
 
     @property
     def distance_by_fixes(self) -> float:
@@ -110,16 +117,16 @@ class Drive:
         return float(np.nansum(self.fix_distances[self.fix_distances > 3.0 * self.fixes.noise]))
 
     @cached_property
-    def fit(self) -> TurnFit:
+    def turn_fit(self) -> TurnFit:
         """Fit of the turns of the gyro by the tracks."""
-        return fit_turns(self.turn, self.x, WINDOW)
+        return fit_turns(self.turn, self.tracks_over_tread, WINDOW)
 
     @cached_property
     def gyro_turn(self) -> FloatArray:
         """(m,) turn of the gyro in the cells, without its bias, rad; zeros without a gyro."""
         if self.gyro is None:
             return np.zeros(len(self.grid.tracks))
-        return np.asarray(self.grid.turns[:, 2] - self.fit.bias * self.grid.cell)
+        return np.asarray(self.grid.turns[:, 2] - self.turn_fit.bias * self.grid.cell)
 
     @cached_property
     def path(self) -> Path:
@@ -131,21 +138,21 @@ class Drive:
     @cached_property
     def track_path(self) -> Path:
         """Dead reckoning by the tracks alone, with the turning efficiency by the gyro, or the usual one."""
-        efficiency = float(self.fit.efficiencies[0]) if self.fit.logs[0] > 0.0 else USUAL_EFFICIENCY
+        efficiency = float(self.turn_fit.efficiencies[0]) if self.turn_fit.logs[0] > 0.0 else USUAL_EFFICIENCY
         left, right = self.grid.tracks.T
         turn = efficiency * (right - left) / self.machine.tread
         return dead_reckoning(self.grid, (left + right) / 2.0, turn)
 
-    def shapes(self, motions: Sequence[tuple[FloatArray, FloatArray]]) -> Shapes:
+    def path_fits(self, motions: Sequence[tuple[FloatArray, FloatArray]]) -> PathFits:
         """Likelihoods of dead reckoning by each motion, given the path of the fixes; zeros without fixes.
 
         A motion: signs of both tracks (2,), whose mean is the distance; turns (m,) of the cells, rad.
         """
         if self.fixes is None:
-            return Shapes(np.zeros(len(motions)), 0, 0.0)
+            return PathFits(np.zeros(len(motions)), 0, 0.0)
         tracks = self.grid.tracks
         paths = [dead_reckoning(self.grid, tracks @ signs / 2.0, turn) for signs, turn in motions]
-        return compare(paths, thinned(self.fixes, _FIX_SPACING))
+        return compare_paths(paths, thin_fixes(self.fixes, _FIX_SPACING))
 
     @cached_property
     def courses(self) -> Courses:

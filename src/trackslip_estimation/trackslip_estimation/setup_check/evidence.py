@@ -10,24 +10,26 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
-from trackslip_estimation.setup_check.heading import Courses, around_any, course_logs, turn_logs
+from trackslip_estimation.setup_check.heading import Courses, any_direction_log, course_logs, turn_logs
 from trackslip_estimation.setup_check.signs import ASSIGNMENTS, DISTANCES, Evidence
 from trackslip_estimation.setup_check.turning import fit_turns
 
 _LEAST_COURSES = 3
 
 
-def gather(drive: Drive) -> Evidence:
+def gather_evidence(drive: Drive) -> Evidence:
     """All ln likelihoods, those of the gyro at least that of one without turns; zeros for missing sensors."""
     of_heading, has_gyro = drive.heading_turn, drive.gyro is not None
     has_heading = int(np.isfinite(of_heading).sum()) >= 3
     return Evidence(
-        np.maximum(drive.fit.logs, -PRIOR) if has_gyro else np.zeros(4),
-        _gyro_shapes(drive),
-        _track_shapes(drive),
+        np.maximum(drive.turn_fit.logs, -PRIOR) if has_gyro else np.zeros(4),
+        _gyro_path_logs(drive),
+        _track_path_logs(drive),
         _heading_logs(drive),
-        fit_turns(of_heading, drive.x, WINDOW).logs if has_heading and not has_gyro else np.zeros(4),
-        _courses(drive) if has_heading else np.zeros((len(ASSIGNMENTS), 2, 2)),
+        fit_turns(of_heading, drive.tracks_over_tread, WINDOW).logs
+        if has_heading and not has_gyro
+        else np.zeros(4),
+        _course_log_table(drive) if has_heading else np.zeros((len(ASSIGNMENTS), 2, 2)),
         forward_shares(drive.grid.tracks),
         has_gyro,
         drive.fixes is not None,
@@ -39,29 +41,29 @@ def _heading_logs(drive: Drive) -> FloatArray:
     """(2,) ln likelihood that headings turn with the gyro, or against it."""
     if drive.gyro is None:
         return np.zeros(2)
-    logs = turn_logs(drive.heading_turn, drive.turn - drive.fit.bias * WINDOW)
+    logs = turn_logs(drive.heading_turn, drive.turn - drive.turn_fit.bias * WINDOW)
     return np.asarray(np.maximum(logs[:2] - logs[2], -PRIOR))
 
 
-def _gyro_shapes(drive: Drive) -> FloatArray:
+def _gyro_path_logs(drive: Drive) -> FloatArray:
     if drive.gyro is None:
         return np.zeros((2, 2))
     signs = (1.0, -1.0, 0.0)
-    logs = drive.shapes([(d, s * drive.gyro_turn) for d in DISTANCES for s in signs]).logs.reshape(2, 3)
+    logs = drive.path_fits([(d, s * drive.gyro_turn) for d in DISTANCES for s in signs]).logs.reshape(2, 3)
     return np.asarray(np.maximum(logs[:, :2], logs[:, 2:] - PRIOR))
 
 
-def _track_shapes(drive: Drive) -> FloatArray:
+def _track_path_logs(drive: Drive) -> FloatArray:
     """(2, 2) ln likelihood of the path by turns of the tracks; zeros with a gyro."""
     if drive.gyro is not None:
         return np.zeros((2, 2))
     efficiency = USUAL_EFFICIENCY / drive.machine.tread
     turns = [efficiency * (drive.grid.tracks @ np.array((-d[1], d[0]))) for d in DISTANCES]
     motions = [(d, s * turn) for d, turn in zip(DISTANCES, turns, strict=True) for s in (1.0, -1.0)]
-    return drive.shapes(motions).logs.reshape(2, 2)
+    return drive.path_fits(motions).logs.reshape(2, 2)
 
 
-def _courses(drive: Drive) -> FloatArray:
+def _course_log_table(drive: Drive) -> FloatArray:
     """(8, 2, 2) ln likelihood: assignments, map as it is or mirrored, heading as it is or inverted."""
     found, steps = np.zeros((len(ASSIGNMENTS), 2, 2)), drive.courses
     if len(steps.courses) < _LEAST_COURSES:
@@ -83,27 +85,27 @@ def _course_logs(steps: Courses, reverse: FloatArray) -> FloatArray:
     for p, h in itertools.product((0, 1), repeat=2):
         found[p, h] = max(
             direction_log(course - heading - reverse)
-            for course in unmirrored(steps, is_mirrored=bool(p))
-            for heading in turned_over(steps, is_turned=bool(h))
+            for course in course_alternatives(steps, is_mirrored=bool(p))
+            for heading in heading_alternatives(steps, is_inverted=bool(h))
         )
     return found
 
 
 def direction_log(differences: FloatArray) -> float:
     """Ln likelihood of course less heading: around 0, or, with the prior of a mistake, around any angle."""
-    return float(np.logaddexp(course_logs(differences)[0], around_any(differences) - PRIOR))
+    return float(np.logaddexp(course_logs(differences)[0], any_direction_log(differences) - PRIOR))
 
 
-def unmirrored(steps: Courses, *, is_mirrored: bool) -> list[FloatArray]:
+def course_alternatives(steps: Courses, *, is_mirrored: bool) -> list[FloatArray]:
     """Courses as they are, or with x and y swapped, y negated, x negated."""
     course = steps.courses
     return [np.pi / 2.0 - course, -course, np.pi - course] if is_mirrored else [course]
 
 
-def turned_over(steps: Courses, *, is_turned: bool) -> list[FloatArray]:
+def heading_alternatives(steps: Courses, *, is_inverted: bool) -> list[FloatArray]:
     """Headings as they are, or from north clockwise, or clockwise."""
     heading = steps.headings
-    return [np.pi / 2.0 - heading, -heading] if is_turned else [heading]
+    return [np.pi / 2.0 - heading, -heading] if is_inverted else [heading]
 
 
 def forward_shares(tracks: FloatArray) -> FloatArray:

@@ -9,26 +9,26 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.grid import angles_of
+from trackslip_estimation.setup_check.grid import continuous_angles
 from trackslip_estimation.setup_check.log import ComplexArray, Log, Tracks
 
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, within the range of the others or far beyond it
-_BEYOND = 3.0  # times the largest deviation of the others from their median
+_LEAST_DEVIATION = 3.0  # times the largest deviation of the others from their median
 _LEAST_PLACES, _LEAST_HELD = 2, 3  # jumps to one exact place; fixes at it at the start or end
 _LEAST_SHARE = 0.002  # of all readings
 _LONGEST_RUN = 3  # readings of the same value in a row
-_RETURN = 0.3  # of a jump, largest difference of the readings before and after it
+_RETURN_SHARE = 0.3  # of a jump, largest difference of the readings before and after it
 _QUANTA = 5.0  # times the smallest changes of readings
-_COUNTS = 2.5  # counts: one forward and one back in a row, and half of one by jitter of stamps
-_LARGE = 0.3  # of the size of large readings; smaller jumps may be motion or noise
+_JITTER_COUNTS = 2.5  # counts: one forward and one back in a row, and half of one by jitter of stamps
+_LARGE_SHARE = 0.3  # of the size of large readings; smaller jumps may be motion or noise
 _TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
 _FIX_STEP = 30.0  # m from both neighbours; a place farther away is no fix of the machine
 
 
 @dataclass(frozen=True)
-class Missing:
+class MissingValue:
     """A value that marks missing readings."""
 
     source: str
@@ -47,7 +47,7 @@ class _Jumps(NamedTuple):
     visits: int  # runs of such readings
 
 
-def missing_in(values: FloatArray, count: float = 0.0) -> tuple[float, BoolArray] | None:
+def find_missing_value(values: FloatArray, count: float = 0.0) -> tuple[float, BoolArray] | None:
     """The value to which readings (n,) jump and from which they return at once, and where; None without one.
 
     ``count``: change of a reading by one encoder count; jumps are larger.
@@ -58,7 +58,9 @@ def missing_in(values: FloatArray, count: float = 0.0) -> tuple[float, BoolArray
         return None
     step = float(np.percentile(change, 5))  # the quantum of a quantised signal
     level = float(np.percentile(np.abs(values[values != 0.0]), 95))
-    found = _jumps(values, max(_QUANTA * step, _LARGE * level, _COUNTS * count), _RETURN, _LONGEST_RUN)
+    found = _find_jumps(
+        values, max(_QUANTA * step, _LARGE_SHARE * level, _JITTER_COUNTS * count), _RETURN_SHARE, _LONGEST_RUN
+    )
     if found is None or found.where.sum() < _LEAST_SHARE * len(values):
         return None
     least = _LEAST_BEYOND if _is_beyond(values, found) else _LEAST_MISSING
@@ -69,10 +71,10 @@ def _is_beyond(values: FloatArray, found: _Jumps) -> bool:
     """Whether a value lies far outside the range of all others."""
     others = values[~found.where]
     usual = float(np.median(others))
-    return abs(found.value - usual) > _BEYOND * float(np.abs(others - usual).max())
+    return abs(found.value - usual) > _LEAST_DEVIATION * float(np.abs(others - usual).max())
 
 
-def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest: int) -> _Jumps | None:
+def _find_jumps(values: FloatArray | ComplexArray, least: float, back: float, longest: int) -> _Jumps | None:
     """The value to which most jumps of more than ``least`` go, in runs of at most ``longest`` readings.
 
     ``back``: share of a jump, by which the readings before and after it differ at most.
@@ -95,72 +97,74 @@ def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest
     return _Jumps(top, np.repeat(there, lengths), int(there.sum()))
 
 
-def without_missing(log: Log) -> tuple[Log, list[Missing]]:
+def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
     """The log without missing readings, and the values that mark them."""
-    found: list[Missing] = []
+    found: list[MissingValue] = []
     tracks = log.tracks
     lost = np.zeros(len(tracks.t), np.bool_)
     count = log.counts.shown / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
-        speeds, gaps = tracks.speeds[:, side], _after_gap(tracks.t)
-        lost |= _note(found, "sprockets", f"{name} speed", speeds, gaps, count)
+        speeds, gaps = tracks.speeds[:, side], _readings_after_gap(tracks.t)
+        lost |= _mark_missing(found, "sprockets", f"{name} speed", speeds, gaps, count)
     if lost.any():
         kept = ~lost
         none = np.full((int(kept.sum()), 2), np.nan)
         t, speeds = tracks.t[kept], tracks.speeds[kept]
-        log = replace(log, tracks=Tracks(t, speeds, angles_of(t, speeds, none)))
+        log = replace(log, tracks=Tracks(t, speeds, continuous_angles(t, speeds, none)))
     gyros, fixes = [], []
     for gyro in log.gyros:
         lost = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
-            lost |= _note(found, gyro.name, f"rate about {name}", gyro.rates[:, axis], _after_gap(gyro.t))
+            lost |= _mark_missing(
+                found, gyro.name, f"rate about {name}", gyro.rates[:, axis], _readings_after_gap(gyro.t)
+            )
         kept = ~lost
         gyros.append(
             replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept])
         )
     for one in log.fixes:
-        lost = _missing_fixes(found, one.name, one.places)
+        lost = _mark_missing_fixes(found, one.name, one.places)
         kept = ~lost
         fixes.append(replace(one, t=one.t[kept], places=one.places[kept], stddevs=one.stddevs[kept]))
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), found
 
 
-def _after_gap(t: FloatArray) -> BoolArray:
+def _readings_after_gap(t: FloatArray) -> BoolArray:
     """(n,) readings after a gap: an increment is twice as large there."""
     intervals = np.diff(t, prepend=t[:1])
     return np.asarray(intervals > 1.5 * np.median(intervals))
 
 
-def _note(
-    found: list[Missing],
+def _mark_missing(
+    found: list[MissingValue],
     source: str,
     column: str,
     values: FloatArray,
     after_gap: BoolArray,
     count: float = 0.0,
 ) -> BoolArray:
-    missing = missing_in(values, count)
+    missing = find_missing_value(values, count)
     if missing is None or after_gap[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
-    found.append(Missing(source, column, value, int(where.sum()), float(where.mean())))
+    found.append(MissingValue(source, column, value, int(where.sum()), float(where.mean())))
     return where
 
 
-def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> BoolArray:
+def _mark_missing_fixes(found: list[MissingValue], source: str, places: FloatArray) -> BoolArray:
     """(n,) missing fixes: at one exact place far from others that recurs, or is held at the start or end."""
     nothing = np.zeros(len(places), np.bool_)
     if len(places) < _LEAST_READINGS:
         return nothing
     spread = float(np.median(np.hypot(*(places - np.median(places, axis=0)).T)))
-    one = _jumps(places @ np.array((1.0, 1.0j)), max(_FIX_STEP, spread), 1.0, len(places) // 2)
+    one = _find_jumps(places @ np.array((1.0, 1.0j)), max(_FIX_STEP, spread), 1.0, len(places) // 2)
     if one is None:
         return nothing
     is_held_first = one.where[:_LEAST_HELD].all() or one.where[-_LEAST_HELD:].all()
     if one.visits < _LEAST_PLACES and not is_held_first:
         return nothing
     count, share = int(one.where.sum()), float(one.where.mean())
-    found.append(Missing(source, "place", float(one.value.real), count, share, 2))
+    found.append(MissingValue(source, "place", float(one.value.real), count, share, 2))
     return one.where
 
 

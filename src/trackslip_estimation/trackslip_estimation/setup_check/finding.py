@@ -40,7 +40,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Undetermined:
+class OpenQuestion:
     """A question that the log cannot decide, and the motion that would decide it."""
 
     what: str
@@ -53,7 +53,7 @@ class Undetermined:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredValue:
     """A quantity of the machine, measured from the drive."""
 
     name: str  # lever_arm_x, lever_arm_y, yaw_offset, delay
@@ -69,9 +69,9 @@ class Result:
     """Result of one check."""
 
     causes: tuple[Cause, ...] = ()
-    undetermined: tuple[Undetermined, ...] = ()
+    undetermined: tuple[OpenQuestion, ...] = ()
     facts: tuple[str, ...] = ()  # distance and turn by each odometer, rates: one line each
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[MeasuredValue, ...] = ()
 
     @property
     def is_plausible(self) -> bool:
@@ -79,7 +79,7 @@ class Result:
         return not self.causes and not self.open_questions
 
     @property
-    def open_questions(self) -> tuple[Undetermined, ...]:
+    def open_questions(self) -> tuple[OpenQuestion, ...]:
         """Certain mistakes whose cause is one of several."""
         return tuple(one for one in self.undetermined if one.is_wrong)
 

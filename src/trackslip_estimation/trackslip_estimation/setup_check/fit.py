@@ -16,12 +16,12 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_estimation.setup_check.log import ComplexArray, Fixes
-from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, free_counts, segments
+from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, degrees_of_freedom, segments
 
 _LEAST_SEGMENTS = 3
-_FITS = 4  # iterations
-_FEW = 3.0  # standard deviations by n segments grow by a share of _FEW / (n − 1)
-_FOLLOWS = 0.95  # correlation of the fixes with the path; below it, errors or slips dominate the scale
+_ITERATIONS = 4  # iterations
+_FEW_SEGMENTS = 3.0  # standard deviations by n segments grow by a share of _FEW_SEGMENTS / (n − 1)
+_LEAST_CORRELATION = 0.95  # of the fixes with the path; below it, errors or slips dominate the scale
 
 
 class Scales(NamedTuple):
@@ -44,12 +44,12 @@ class Lever(NamedTuple):
     turned: float  # rad, in all
 
 
-def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
+def segment_scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
     """Scales of segments of ``length`` s in which fixes follow the path and exceed six times their noise."""
     parts = segments(path, fixes, length)
     if not len(parts):
         return None
-    moments, q, z = Moments(parts), path.at(fixes.t, fixes.arm), fixes.z
+    moments, q, z = Moments(parts), path.places_at(fixes.t, fixes.complex_lever), fixes.centred_places
     of_q = np.maximum(moments.product(q, q).real, 1e-12)
     of_z = np.maximum(moments.product(z, z).real, 1e-12)
     c = moments.product(q, z) / of_q
@@ -58,7 +58,7 @@ def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
     distance = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.places)))))
     distance = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
     wide = (np.sqrt(of_z / moments.counts) > max(6.0 * fixes.noise, 0.25)) & (distance > 0.3)
-    wide &= np.abs(c) * np.sqrt(of_q) > _FOLLOWS * np.sqrt(of_z)
+    wide &= np.abs(c) * np.sqrt(of_q) > _LEAST_CORRELATION * np.sqrt(of_z)
     if not wide.any():
         return None
     variances = (fixes.noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
@@ -68,7 +68,7 @@ def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
     return Scales(*(column[wide] for column in found))
 
 
-class _Projected(NamedTuple):
+class _NormalEquations(NamedTuple):
     """Sums of s segments over the columns of x, y, b and τ, with place and scale projected out."""
 
     zz: FloatArray  # (s,) of the fixes with each other
@@ -84,12 +84,12 @@ def fit_lever(
     parts = segments(path, fixes, length)
     if len(parts) < _LEAST_SEGMENTS:
         return None
-    sums, turned = _project(path, fixes, parts)
+    sums, turned = _normal_equations(path, fixes, parts)
     noise = fixes.noise**2 + 1e-6
     prior = np.diag((1e-9, 1e-9, slip_stddev**-2, delay_stddev**-2))
     value = np.zeros(4)
-    for _ in range(_FITS):  # weights by the residuals of the previous fit
-        weights = sums.free / _rests(sums, value, noise)
+    for _ in range(_ITERATIONS):  # weights by the residuals of the previous fit
+        weights = sums.free / _residual_squares(sums, value, noise)
         products = weights[:, np.newaxis, np.newaxis] * sums.products
         of_z = weights[:, np.newaxis] * sums.of_z
         total = products.sum(axis=0) + prior
@@ -101,24 +101,24 @@ def fit_lever(
     without = np.linalg.solve(total - products, (of_z.sum(axis=0) - of_z)[:, :, np.newaxis])[:, :, 0]
     moved = (without - value) * np.sqrt((len(parts) - 1) / len(parts))
     stddevs = np.maximum(np.sqrt(np.sum(moved**2, axis=0)), np.sqrt(np.diag(np.linalg.inv(total))))
-    stddevs = stddevs * (1.0 + _FEW / max(count - 1.0, 1e-3))
+    stddevs = stddevs * (1.0 + _FEW_SEGMENTS / max(count - 1.0, 1e-3))
     none = np.concatenate(((0.0, 0.0), np.linalg.solve(total[2:, 2:], of_z[:, 2:].sum(axis=0))))
-    gains = sums.free * np.log(_rests(sums, none, noise) / _rests(sums, value, noise))
+    gains = sums.free * np.log(_residual_squares(sums, none, noise) / _residual_squares(sums, value, noise))
     gain = float(np.clip(gains, -MOST_LOG, MOST_LOG).sum())
     return Lever(complex(value[0], value[1]), (float(stddevs[0]), float(stddevs[1])), gain, turned)
 
 
-def _rests(sums: _Projected, value: FloatArray, noise: float) -> FloatArray:
+def _residual_squares(sums: _NormalEquations, value: FloatArray, noise: float) -> FloatArray:
     """(s,) residual squares at (4,) values, with those of the noise, m²."""
     left = sums.zz - 2.0 * sums.of_z @ value + np.einsum("i,sij,j->s", value, sums.products, value)
     return np.asarray(np.maximum(left, 0.0) + sums.free * noise + 1e-9)
 
 
-def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, float]:
-    moments, q, z = Moments(parts), path.at(fixes.t, fixes.arm), fixes.z
+def _normal_equations(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_NormalEquations, float]:
+    moments, q, z = Moments(parts), path.places_at(fixes.t, fixes.complex_lever), fixes.centred_places
     heading = np.interp(fixes.t, path.edges, path.headings)
     u = np.exp(1j * heading)
-    columns = (u, 1j * u, _of_turns(path, fixes.t), _of_delay(path, fixes))
+    columns = (u, 1j * u, _turn_path(path, fixes.t), _delay_derivative(path, fixes))
     of_q = np.maximum(moments.product(q, q).real, 1e-12)
 
     def product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
@@ -132,34 +132,38 @@ def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, flo
     turn = c / np.maximum(np.abs(c), 1e-12)
     products = np.array([[product(a, b).real for b in columns] for a in columns])
     of_z = np.array([(np.conj(turn) * product(a, z)).real for a in columns])
-    free = np.where(of_q > 1e-3, free_counts(fixes, parts), 0.0)
+    free = np.where(of_q > 1e-3, degrees_of_freedom(fixes, parts), 0.0)
     turned = float(np.sum(np.abs(heading[parts[:, 1] - 1] - heading[parts[:, 0]])))
     zz = np.maximum(product(z, z).real, 0.0)
-    return _Projected(zz, np.moveaxis(products, 2, 0), of_z.T, free), turned
+    return _NormalEquations(zz, np.moveaxis(products, 2, 0), of_z.T, free), turned
 
 
-def _of_turns(path: Path, t: FloatArray) -> ComplexArray:
+def _turn_path(path: Path, t: FloatArray) -> ComplexArray:
     """(n,) ∫ e^{iψ} |dψ|: places of a machine that drives 1 m per radian."""
     middle = (path.headings[1:] + path.headings[:-1]) / 2.0
     places = np.concatenate(([0.0], np.cumsum(np.exp(1j * middle) * np.abs(np.diff(path.headings)))))
     return np.asarray(np.interp(t, path.edges, places.real) + 1j * np.interp(t, path.edges, places.imag))
 
 
-def _of_delay(path: Path, fixes: Fixes) -> ComplexArray:
+def _delay_derivative(path: Path, fixes: Fixes) -> ComplexArray:
     """(n,) −q̇: change of the places for each second of delay."""
-    step, arm = path.edges[1] - path.edges[0], fixes.arm
-    return np.asarray((path.at(fixes.t - step, arm) - path.at(fixes.t + step, arm)) / (2.0 * step))
+    step, arm = path.edges[1] - path.edges[0], fixes.complex_lever
+    return np.asarray(
+        (path.places_at(fixes.t - step, arm) - path.places_at(fixes.t + step, arm)) / (2.0 * step)
+    )
 
 
-def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> FloatArray:
+def path_delay_logs(path: Path, fixes: Fixes, length: float, delays: FloatArray) -> FloatArray:
     """(d, s) ln likelihood of each delay of the fixes, s; place, scale, direction of segments are free."""
-    parts = segments(path, fixes, length, margin=float(np.abs(lates).max()))
+    parts = segments(path, fixes, length, margin=float(np.abs(delays).max()))
     if not len(parts):
-        return np.zeros((len(lates), 0))
-    moments, z = Moments(parts), fixes.z
+        return np.zeros((len(delays), 0))
+    moments, z = Moments(parts), fixes.centred_places
     extent = moments.product(z, z).real / moments.counts
     floors = moments.counts * (fixes.noise**2 + 1e-6 + (0.01**2) * np.maximum(extent, 0.0))
-    rests = [moments.rests(path.at(fixes.t - late, fixes.arm), z) for late in lates]
-    logs = -free_counts(fixes, parts) * np.log(np.array(rests) + floors)  # (d, s)
+    residual_squares = [
+        moments.residual_squares(path.places_at(fixes.t - delay, fixes.complex_lever), z) for delay in delays
+    ]
+    logs = -degrees_of_freedom(fixes, parts) * np.log(np.array(residual_squares) + floors)  # (d, s)
     logs -= logs.max(axis=0)
     return np.asarray(np.maximum(logs, -MOST_LOG))

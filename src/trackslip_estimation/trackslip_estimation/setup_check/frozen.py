@@ -20,11 +20,11 @@ _LEAST_EFFICIENCY = 0.25  # turning efficiency of the tracks, low as on ice
 
 def frozen_cause(drive: Drive, gyro: Gyro) -> Cause | None:
     """The cause if readings stay bit for bit the same while tracks or headings turn differently."""
-    found = (_frozen_in(drive, gyro, *span) for span in frozen_spans(gyro))
+    found = (_judge_span(drive, gyro, *span) for span in frozen_spans(gyro))
     return next((cause for cause in found if cause is not None), None)
 
 
-def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
+def _judge_span(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
     grid = drive.grid
     inside = (grid.edges[:-1] >= begin) & (grid.edges[1:] <= end)
     value = float(gyro.rates[np.searchsorted(gyro.t, begin), 2])
@@ -33,8 +33,8 @@ def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | No
     by_tracks = apart / drive.machine.tread
     by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
     by_heading = np.where(np.abs(by_heading) <= HEADING_NOISE, 0.0, by_heading)  # nan stays: unknown
-    is_by_heading = _otherwise(by_heading, shown) >= _LEAST_TURN
-    if not is_by_heading and _otherwise(by_tracks, shown) * _LEAST_EFFICIENCY < _LEAST_TURN:
+    is_by_heading = _unexplained_turn(by_heading, shown) >= _LEAST_TURN
+    if not is_by_heading and _unexplained_turn(by_tracks, shown) * _LEAST_EFFICIENCY < _LEAST_TURN:
         return None
     also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
     return Cause(
@@ -49,7 +49,7 @@ def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | No
     )
 
 
-def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
+def _unexplained_turn(turns: FloatArray, shown: FloatArray) -> float:
     """Part of the turns (n,), rad, that no multiple of the gyro's turns ``shown`` (n,) explains.
 
     A simulated gyro without noise is constant as long as the machine turns evenly.

@@ -52,13 +52,13 @@ def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0
     if gyro is not None and len(gyro.t) > 2:
         at = gyro.t - delays[1]
         turns = increments(at, integral(at, gyro.rates), edges)
-        turns[~covered(at, edges)] = np.nan
+        turns[~covered_cells(at, edges)] = np.nan
         if gyro.is_above and log.swing is not None and len(log.swing[0]) > 2:
-            turns[_swings(log.swing, edges)] = np.nan
-    return Grid(edges, tracks, turns, covered(t, edges))
+            turns[_swinging_cells(log.swing, edges)] = np.nan
+    return Grid(edges, tracks, turns, covered_cells(t, edges))
 
 
-def _swings(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> BoolArray:
+def _swinging_cells(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> BoolArray:
     """(m,) cells in which, or within a second of which, the upper structure swings."""
     angle, middle = np.unwrap(swing[1]), (edges[1:] + edges[:-1]) / 2.0
     after = np.interp(middle + _SWING_MARGIN, swing[0], angle)
@@ -73,7 +73,7 @@ def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(means * steps, axis=0)))
 
 
-def angles_of(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
+def continuous_angles(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
     """(n, 2) continuous angles: positions (n, 2) where all are numbers, else the integral of the speeds."""
     if len(t) and np.isfinite(positions).all():
         return positions
@@ -85,7 +85,7 @@ def increments(t: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArr
     return np.diff(np.column_stack([np.interp(edges, t, column) for column in values.T]), axis=0)
 
 
-def covered(t: FloatArray, edges: FloatArray) -> BoolArray:
+def covered_cells(t: FloatArray, edges: FloatArray) -> BoolArray:
     """(m,) whether readings cover each cell without a gap."""
     after = np.clip(np.searchsorted(t, edges[1:]), 1, len(t) - 1)
     before = np.clip(np.searchsorted(t, edges[:-1], side="right") - 1, 0, len(t) - 2)

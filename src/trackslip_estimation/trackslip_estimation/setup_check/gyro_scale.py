@@ -17,10 +17,10 @@ from trackslip_estimation.setup_check.fit import Lever
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
-from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
 
 _SCALES = (np.geomspace(0.42, 1 / 0.42, 19), np.geomspace(0.08, 1 / 0.08, 53))  # near ones first
-_RIGHT = np.log(1.11)  # largest magnitude of the ln scale of a sound gyro
+_SOUND_LOG_SCALE = np.log(1.11)  # largest magnitude of the ln scale of a sound gyro
 _LEAST_SEGMENTS = 3  # of the path
 
 
@@ -32,30 +32,30 @@ def judge_scale(drive: Drive, unit: float, lever: Lever | None) -> Cause | None:
     if drive.gyro is None:
         return None
     by_lever = 0.0 if lever is None else lever.log_ratio
-    causes = (_judge(drive, drive.gyro, scales, unit, by_lever) for scales in _SCALES)
+    causes = (_judge_scales(drive, drive.gyro, scales, unit, by_lever) for scales in _SCALES)
     return next((cause for cause in causes if cause is not None), None)
 
 
-def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: float) -> Cause | None:
-    bias = drive.fit.bias
+def _judge_scales(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: float) -> Cause | None:
+    bias = drive.turn_fit.bias
     both = {
         "its headings": heading_logs(drive, scales, bias)[:, 0],
         "the path of the fixes": path_logs(drive, scales, bias, [(np.ones(2), 1.0)])[:, 0],
     }
-    witnesses = {name: logs for name, logs in both.items() if logs.any()}
-    if not witnesses:
+    references = {name: logs for name, logs in both.items() if logs.any()}
+    if not references:
         return None
-    is_right = np.abs(np.log(scales)) <= _RIGHT
-    total = np.sum(list(witnesses.values()), axis=0)
+    is_right = np.abs(np.log(scales)) <= _SOUND_LOG_SCALE
+    total = np.sum(list(references.values()), axis=0)
     best = int(np.argmax(total))
     gain = float(total[best] - total[is_right].max())
     if best in (0, len(scales) - 1) or gain < PRIOR + by_lever:  # at an end: no maximum
         return None
-    turns = turns_of((drive.turn - bias * WINDOW) / scales[best])
-    if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in witnesses.values()):
+    turns = count_turns((drive.turn - bias * WINDOW) / scales[best])
+    if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in references.values()):
         return None
     shown = unit * float(scales[best])
-    evidence = f"the gyro shows {shown:.2g} times what the machine turns by {' and '.join(witnesses)}"
+    evidence = f"the gyro shows {shown:.2g} times what the machine turns by {' and '.join(references)}"
     return Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, shown))
 
 
@@ -73,6 +73,6 @@ def path_logs(
     ``signs``: k pairs, of both tracks (2,) and of the gyro.
     """
     turn = drive.grid.turns[:, 2] - bias * drive.grid.cell
-    shapes = drive.shapes([(tracks, sign * turn / scale) for scale in scales for tracks, sign in signs])
+    shapes = drive.path_fits([(tracks, sign * turn / scale) for scale in scales for tracks, sign in signs])
     logs = shapes.logs.reshape(len(scales), len(signs))
     return logs if shapes.segments >= _LEAST_SEGMENTS else np.zeros_like(logs)

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
 from trackslip_estimation.setup_check.log import Compass, Fixes
-from trackslip_estimation.setup_check.turning import mixture
+from trackslip_estimation.setup_check.turning import log_mixture_density
 
-_NOISE = 0.05  # rad, of a difference of headings in a window
-_SHARE = 0.1  # standard deviation, share of the turn
+_HEADING_NOISE = 0.05  # rad, of a difference of headings in a window
+_TURN_SHARE = 0.1  # standard deviation, share of the turn
 _LEAST_WINDOWS = 3
-_COURSE = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
+_COURSE_STDDEV = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
 _LEAST_STEP = 0.3  # m in a window
-_STRAIGHT = 0.35  # rad in a window, largest turn of a straight step
+_MOST_TURN = 0.35  # rad in a window, largest turn of a straight step
 _DEGREES = float(np.degrees(1.0))
 _STEP_NOISE = 0.03  # rad, of a difference of neighbouring headings
 _LEAST_STEP_TURN, _MOST_STEP_TURN = 0.02, 0.5  # rad from one heading to the next
@@ -60,7 +60,7 @@ def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
     return np.where(near[:, np.newaxis], found, np.nan)
 
 
-def steps_of(fixes: Fixes, grid: Grid) -> FloatArray:
+def window_displacements(fixes: Fixes, grid: Grid) -> FloatArray:
     """(w, 2) displacements in windows, m; nan where there is no fix."""
     return np.diff(place_at(fixes, window_edges(grid)), axis=0)
 
@@ -74,20 +74,24 @@ def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
     y, x = of_heading[usable], of_machine[usable]
     if len(y) < _LEAST_WINDOWS:
         return np.zeros(3)
-    variance = _NOISE**2 + (_SHARE * x) ** 2
+    variance = _HEADING_NOISE**2 + (_TURN_SHARE * x) ** 2
     width = 2.0 * max(float(np.abs(y).max()), 1.0)
-    itself = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
-    logs = (mixture(y - x, variance, width), mixture(y + x, variance, width), mixture(y, itself, width))
+    itself = np.full(len(y), _HEADING_NOISE**2 + float(np.mean(y**2)))
+    logs = (
+        log_mixture_density(y - x, variance, width),
+        log_mixture_density(y + x, variance, width),
+        log_mixture_density(y, itself, width),
+    )
     return np.asarray(np.sum(logs, axis=1))
 
 
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
     """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
-    edges, steps = window_edges(grid), steps_of(fixes, grid)
+    edges, steps = window_edges(grid), window_displacements(fixes, grid)
     turns, distance = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
     is_far = distance > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
-    index = np.flatnonzero(is_far & (turns < _STRAIGHT) & np.isfinite(middle))
+    index = np.flatnonzero(is_far & (turns < _MOST_TURN) & np.isfinite(middle))
     return Courses(np.arctan2(steps[index, 1], steps[index, 0]), middle[index], index)
 
 
@@ -98,44 +102,44 @@ def course_logs(differences: FloatArray) -> FloatArray:
     width = 2.0 * np.pi
     logs = []
     for middle in (0.0, np.pi):
-        rest = wrapped(differences - middle)
-        logs.append(float(mixture(rest, np.full(len(rest), _COURSE**2), width).sum()))
+        rest = wrap_angles(differences - middle)
+        logs.append(float(log_mixture_density(rest, np.full(len(rest), _COURSE_STDDEV**2), width).sum()))
     return np.array(logs)
 
 
-def around_any(differences: FloatArray) -> float:
+def any_direction_log(differences: FloatArray) -> float:
     """Ln likelihood that directions lie around an unknown direction, with a uniform prior."""
     if not len(differences):
         return 0.0
     middle = mean_direction(differences)
-    rest = wrapped(differences - middle)
-    fitted = float(mixture(rest, np.full(len(rest), _COURSE**2), 2.0 * np.pi).sum())
-    return fitted - float(np.log(2.0 * np.pi * np.sqrt(len(rest)) / _COURSE / np.sqrt(2.0 * np.pi)))
+    rest = wrap_angles(differences - middle)
+    fitted = float(log_mixture_density(rest, np.full(len(rest), _COURSE_STDDEV**2), 2.0 * np.pi).sum())
+    return fitted - float(np.log(2.0 * np.pi * np.sqrt(len(rest)) / _COURSE_STDDEV / np.sqrt(2.0 * np.pi)))
 
 
 def mean_direction(angles: FloatArray) -> float:
     """Robust mean of directions, rad: that around which most lie."""
     middle = float(np.angle(np.mean(np.exp(1j * angles))))
     for _ in range(5):
-        rest = wrapped(angles - middle)
+        rest = wrap_angles(angles - middle)
         usual = np.abs(rest) < 1.0
         middle += float(np.median(rest[usual])) if usual.any() else 0.0
-    return float(wrapped(np.array((middle,)))[0])
+    return float(wrap_angles(np.array((middle,)))[0])
 
 
-def wrapped(angles: FloatArray) -> FloatArray:
+def wrap_angles(angles: FloatArray) -> FloatArray:
     """Angles wrapped to [−π, π)."""
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
+def heading_unit(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
     """Factor 57.3 or 1/57.3 of headings in a wrong unit, else 1; its ln likelihood ratio over the right unit.
 
     By differences of successive headings, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
     """
     sound = np.isfinite(compass.headings)
     known, headings = compass.t[sound], compass.headings[sound]
-    steps = wrapped(np.diff(headings))
+    steps = wrap_angles(np.diff(headings))
     own = np.diff(np.interp(known, t, turned))
     fine = (np.diff(known) < LONGEST_GAP) & (np.abs(own) > _LEAST_STEP_TURN) & (np.abs(own) < _MOST_STEP_TURN)
     fine &= (known[1:] <= t[-1]) & (known[:-1] >= t[0])
@@ -144,14 +148,16 @@ def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float
     logs = {}
     for factor in (1.0, -1.0, _DEGREES, -_DEGREES, 1.0 / _DEGREES, -1.0 / _DEGREES):
         variance = _STEP_NOISE**2 + (factor * (0.002 + 0.05 * own[fine])) ** 2
-        logs[factor] = float(mixture(wrapped(steps[fine] - factor * own[fine]), variance, 2.0 * np.pi).sum())
+        logs[factor] = float(
+            log_mixture_density(wrap_angles(steps[fine] - factor * own[fine]), variance, 2.0 * np.pi).sum()
+        )
     best = max(logs, key=lambda factor: logs[factor])
-    if abs(best) < 1.0 and not _follows(np.unwrap(headings), best * np.interp(known, t, turned)):
+    if abs(best) < 1.0 and not _is_correlated(np.unwrap(headings), best * np.interp(known, t, turned)):
         return 1.0, 0.0
     return abs(best), logs[best] - max(logs[1.0], logs[-1.0])
 
 
-def _follows(headings: FloatArray, turned: FloatArray) -> bool:
+def _is_correlated(headings: FloatArray, turned: FloatArray) -> bool:
     """Whether small changes of headings follow the turn; those of constant headings do not."""
     y, x = headings - headings.mean(), turned - turned.mean()
     of_x, of_y, both = float(x @ x), float(y @ y), float(x @ y)

@@ -10,7 +10,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
 from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
 from trackslip_estimation.setup_check.gyro_scale import heading_logs, path_logs
@@ -20,12 +20,12 @@ from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.turning import (
     LEAST_TURNS,
     PATTERNS,
-    bias_of,
+    count_turns,
     fit_turns,
-    mixture,
-    scale_of,
-    standing,
-    turns_of,
+    log_mixture_density,
+    median_bias,
+    standstill_windows,
+    turn_scale,
 )
 
 UNITS = {  # reading per rad/s, by true and declared unit
@@ -42,7 +42,7 @@ UNITS = {  # reading per rad/s, by true and declared unit
     "mdeg/s, declared deg/s": 1e3,
 }
 EFFICIENCY = (0.08, 1.5)  # turn by the gyro over turn by the tracks, of any machine on any ground
-_CENTRE = 0.6  # usual efficiency
+_USUAL_EFFICIENCY = 0.6  # usual efficiency
 _LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; a larger one is a wrong unit
 _LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
@@ -53,43 +53,44 @@ _AXIS_GAIN = 8.0  # ln likelihood ratio of another axis over z
 _MOST_TILT = np.radians(60.0)  # largest difference of roll or pitch of two places, on any hill
 _TILT_NOISE = np.radians(12.0)  # error of that difference by accelerations
 _GRAVITY = (7.5, 12.0)  # m/s²
-_FOLLOWS = 0.85  # correlation of turns of one machine
+_LEAST_CORRELATION = 0.85  # correlation of turns of one machine
 _MOST_TURN = 3.0  # turn by the gyro over turn by the tracks, of any machine
 _FASTEST = 8.0  # rad/s, yaw rate beyond any machine
 _AXES = "xyz"
-_MOSTLY = 0.5  # share of the recording
+_MOST_FROZEN_SHARE = 0.5  # share of the recording
 _LEAST_AXIS = 5  # windows in which an axis was recorded
 
 
 @dataclass(frozen=True)
-class Inertial:
+class GyroResult:
     """Causes, and the drive with them undone."""
 
     drive: Drive  # without a gyro where that shows no turns
     causes: tuple[Cause, ...] = ()
-    undetermined: tuple[Undetermined, ...] = ()
+    undetermined: tuple[OpenQuestion, ...] = ()
     unit: float = 1.0  # reading per rad/s, undone in ``drive``
     is_upside_down: bool = False
     is_contradicted: bool = False  # the unit of gyro or tracks is wrong; the log does not show which
 
 
-def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
+def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult:
     """Frozen readings, axis, unit and bias of the gyro, not its sign; ``is_unit_known``: of the tracks."""
     drive = drive.with_gyro(gyro)
-    gravity = gravity_of(drive, gyro)
+    gravity = gravity_direction(drive, gyro)
     frozen = frozen_cause(drive, gyro)
     if frozen is not None:
-        return Inertial(drive.with_gyro(None), (frozen,))
-    gyro, axis_cause = _axis(drive, gyro, gravity)
+        return GyroResult(drive.with_gyro(None), (frozen,))
+    gyro, axis_cause = _find_vertical_axis(drive, gyro, gravity)
     drive = drive.with_gyro(gyro)
-    factor, unit_cause, open_ones = _unit(drive, gyro, is_unit_known=is_unit_known)
+    factor, unit_cause, open_ones = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
     causes = tuple(cause for cause in (axis_cause, unit_cause) if cause is not None)
     gyro = replace(gyro, rates=gyro.rates / factor)
     drive = drive.with_gyro(gyro)
-    scale, share = scale_of(drive.turn, drive.x, WINDOW), turned_share(drive.turn, drive.x)
+    turn, tracks = drive.turn, drive.tracks_over_tread
+    scale, share = turn_scale(turn, tracks, WINDOW), turn_ratio(turn, tracks)
     if scale > EFFICIENCY[1] or share > _MOST_TURN:
         times = f"{max(np.nan_to_num(scale), share):.3g} times as much as"
-        also = _agrees_with(drive, scale) if is_unit_known else ""
+        also = _confirming_odometer(drive, scale) if is_unit_known else ""
         if also:
             what = f"machine that turns {times} its tracks, by gyro and {also}: the tread is too large"
             needed = (
@@ -98,32 +99,37 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
         else:
             what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
             needed = "turn left and right by 90° once each, with fixes"
-        open_ones.append(Undetermined(what, needed, is_wrong=True))
-        return Inertial(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
+        open_ones.append(OpenQuestion(what, needed, is_wrong=True))
+        return GyroResult(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
     swings = gyro.is_above and drive.log.swing is None
-    if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(drive):
-        bias_cause = _bias(drive, gyro)
+    if (
+        unit_cause is None
+        and not swings
+        and frozen_share(gyro) < _MOST_FROZEN_SHARE
+        and _is_unit_confirmed(drive)
+    ):
+        bias_cause = _judge_bias(drive, gyro)
         causes += () if bias_cause is None else (bias_cause,)
     has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
     down = gravity is not None and gravity[2] < -0.8 and has_rates
-    return Inertial(drive, causes, tuple(open_ones), factor, down)
+    return GyroResult(drive, causes, tuple(open_ones), factor, down)
 
 
-def _agrees_with(drive: Drive, scale: float) -> str:
+def _confirming_odometer(drive: Drive, scale: float) -> str:
     """The odometer that confirms a gyro turning ``scale`` times as much as the tracks; '' if none does."""
-    by_heading = _scale_of_heading(drive)
+    by_heading = _scale_by_heading(drive)
     if by_heading is not None:
         return "heading" if abs(np.log(by_heading)) < _UNIT_ERROR else ""
-    by_path = _witness(drive, scale / _CENTRE) if scale > 0.0 else None
+    by_path = _unit_log_ratio(drive, scale / _USUAL_EFFICIENCY) if scale > 0.0 else None
     return "path of the fixes" if by_path is not None and by_path < -_LEAST_GAIN else ""
 
 
-def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
+def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     """(3,) unit vector of the specific force at standstill, or of the whole log; None: unknown."""
     sound = np.isfinite(gyro.accelerations).all(axis=1)
     if sound.sum() < 10:
         return None
-    still = standing(drive.x)
+    still = standstill_windows(drive.tracks_over_tread)
     edges = window_edges(drive.grid)
     window = np.searchsorted(edges, gyro.t, side="right") - 1
     inside = sound & (window >= 0) & (window < len(still))
@@ -135,16 +141,16 @@ def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
     return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
 
 
-def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
+def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
     """The gyro with its vertical axis as z, and the cause if that is another axis.
 
     No machine lies on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
     axis must turn by more than the machine tilts: on a hill, pitch is correlated with the tracks too.
     """
-    turns, x = window_sums(drive.grid, drive.grid.turns), drive.x
+    turns, x = window_sums(drive.grid, drive.grid.turns), drive.tracks_over_tread
     found = _axis_gains(turns, x, drive.heading_turn)
     best = int(np.argmax(found.gains))
-    is_known = np.isfinite(found.gains).any() and frozen_share(gyro) <= _MOSTLY
+    is_known = np.isfinite(found.gains).any() and frozen_share(gyro) <= _MOST_FROZEN_SHARE
     if not is_known or best == 2 or found.by_tracks[2] > _LEAST_GAIN:
         return gyro, None
     upright = None if gravity is None else int(np.argmax(np.abs(gravity)))
@@ -153,15 +159,15 @@ def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, C
         evidence = (
             f"gravity lies along its {_AXES[upright]} axis, and it does not turn about z as the tracks do"
         )
-        fix = to_vertical(upright, float(np.sign(gravity[upright])))
-        return _remounted(gyro, fix, "imu_mounting", evidence, log_ratio)
+        fix = rotation_to_vertical(upright, float(np.sign(gravity[upright])))
+        return _remount(gyro, fix, "imu_mounting", evidence, log_ratio)
     log_ratio = float(found.gains[best] - max(found.gains[2], 0.0))
-    spans = [_span(turns[:, axis] / found.units[best], x) for axis in (best, 2)]
-    most = _MOST_TILT if gravity is None else min(2.0 * _tilt_span(gyro) + _TILT_NOISE, _MOST_TILT)
+    spans = [_heading_range(turns[:, axis] / found.units[best], x) for axis in (best, 2)]
+    most = _MOST_TILT if gravity is None else min(2.0 * _tilt_range(gyro) + _TILT_NOISE, _MOST_TILT)
     if log_ratio < _AXIS_GAIN or spans[0] < most or spans[1] > min(most, 0.5 * spans[0]):
         return gyro, None
     evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z"
-    return _remounted(gyro, to_vertical(best, 1.0), "gyro_axis", evidence, log_ratio)
+    return _remount(gyro, rotation_to_vertical(best, 1.0), "gyro_axis", evidence, log_ratio)
 
 
 class _AxisGains(NamedTuple):
@@ -176,30 +182,30 @@ def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray) -> _Ax
     """Evidence for each axis, of turns (w, 3) in windows."""
     found = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
     for axis in range(3):
-        scale = scale_of(turns[:, axis], x, WINDOW)
+        scale = turn_scale(turns[:, axis], x, WINDOW)
         if np.isfinite(turns[:, axis]).sum() < _LEAST_AXIS or not scale > 0.0:
             continue
-        found.units[axis] = max(_unit_of(scale)[1], 1.0)  # a small turn is a tilt, no other unit
+        found.units[axis] = max(_fitting_unit(scale)[1], 1.0)  # a small turn is a tilt, no other unit
         found.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, found.units[axis]).logs.max()
         by_heading = turn_logs(of_heading, turns[:, axis] / found.units[axis])
         found.gains[axis] = found.by_tracks[axis] + max(by_heading[:2].max() - by_heading[2], 0.0)
     return found
 
 
-def _remounted(gyro: Gyro, fix: FloatArray, name: str, evidence: str, log_ratio: float) -> tuple[Gyro, Cause]:
+def _remount(gyro: Gyro, fix: FloatArray, name: str, evidence: str, log_ratio: float) -> tuple[Gyro, Cause]:
     """The gyro with ``fix`` (3, 3) applied, and the cause."""
     turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
     return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
 
 
-def _span(turn: FloatArray, x: FloatArray) -> float:
+def _heading_range(turn: FloatArray, x: FloatArray) -> float:
     """Range of the heading by turns (w,) in windows, less their bias, rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y = turn[usable] - bias_of(turn[usable], x[usable], WINDOW) * WINDOW
+    y = turn[usable] - median_bias(turn[usable], x[usable], WINDOW) * WINDOW
     return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
 
 
-def _tilt_span(gyro: Gyro) -> float:
+def _tilt_range(gyro: Gyro) -> float:
     """Twice the largest tilt of gravity from its median direction, rad: the range of roll and pitch."""
     sound = np.isfinite(gyro.accelerations).all(axis=1)
     of_second = (gyro.t[sound] - gyro.t[0]).astype(np.int64)
@@ -212,17 +218,17 @@ def _tilt_span(gyro: Gyro) -> float:
     return 2.0 * float(np.percentile(leans, 98))
 
 
-def turned_share(turn: FloatArray, x: FloatArray) -> float:
+def turn_ratio(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the gyro over the largest turn that tracks of any signs explain; 0 for half a turn or less."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
-    y = np.abs(y - bias_of(y, x, WINDOW) * WINDOW)
+    y = np.abs(y - median_bias(y, x, WINDOW) * WINDOW)
     most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
     total = float(y.sum())
     return total / (float(most.sum()) + 0.5) if total > np.pi else 0.0
 
 
-def to_vertical(axis: int, sign: float) -> FloatArray:
+def rotation_to_vertical(axis: int, sign: float) -> FloatArray:
     """(3, 3) rotation that turns an axis of the unit, times ``sign``, upward."""
     if axis == 0:
         return remedies.rotation(0.0, -sign * np.pi / 2.0, 0.0)
@@ -231,7 +237,7 @@ def to_vertical(axis: int, sign: float) -> FloatArray:
     return remedies.rotation(0.0 if sign > 0.0 else np.pi, 0.0, 0.0)
 
 
-def _unit_of(scale: float, by_heading: float | None = None) -> tuple[str, float]:
+def _fitting_unit(scale: float, by_heading: float | None = None) -> tuple[str, float]:
     """Name and factor of the unit that makes a scale by the tracks a turning efficiency; '', 1 if it is one.
 
     Of several units, the nearest to the scale by headings, which do not slip, or to a usual efficiency. Where
@@ -241,7 +247,7 @@ def _unit_of(scale: float, by_heading: float | None = None) -> tuple[str, float]
     fitting = {name: one for name, one in units.items() if _is_usual(scale / one)}
     if by_heading is None and "" in fitting:
         return "", 1.0
-    requested = scale / _CENTRE if by_heading is None else by_heading
+    requested = scale / _USUAL_EFFICIENCY if by_heading is None else by_heading
     name, factor = min(fitting.items(), key=lambda item: abs(np.log(requested / item[1])), default=("", 1.0))
     is_none = by_heading is not None and abs(np.log(by_heading / factor)) > _UNIT_ERROR
     if by_heading is not None and is_none and _is_usual(scale / by_heading):
@@ -253,28 +259,30 @@ def _is_usual(efficiency: float) -> bool:
     return EFFICIENCY[0] <= efficiency <= EFFICIENCY[1]
 
 
-def _unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, Cause | None, list[Undetermined]]:
+def _judge_unit(
+    drive: Drive, gyro: Gyro, *, is_unit_known: bool
+) -> tuple[float, Cause | None, list[OpenQuestion]]:
     """Factor of the gyro's unit by the tracks, confirmed by headings or the path of the fixes.
 
     Without these two: tracks that turn more than the gyro may slip. Tracks that turn less may have a wrong
     unit, unless the distance of the fixes shows theirs, or no machine turns as fast as the gyro.
     """
-    turn, x = drive.turn, drive.x
-    scale = scale_of(turn, x, WINDOW)
-    name, factor = _unit_of(scale, _scale_of_heading(drive))
+    turn, x = drive.turn, drive.tracks_over_tread
+    scale = turn_scale(turn, x, WINDOW)
+    name, factor = _fitting_unit(scale, _scale_by_heading(drive))
     if factor == 1.0:
         return 1.0, None, []
     gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
-    if turns_of(turn / factor) < LEAST_TURNS:
+    if count_turns(turn / factor) < LEAST_TURNS:
         return 1.0, None, []
-    witness = _witness(drive, factor)
-    if witness is None and factor > 1.0 and not is_unit_known and not _is_too_fast(turn):
+    log_ratio = _unit_log_ratio(drive, factor)
+    if log_ratio is None and factor > 1.0 and not is_unit_known and not _is_too_fast(turn):
         return 1.0, None, []
-    if witness is None and factor < 1.0:
+    if log_ratio is None and factor < 1.0:
         what = f"gyro that shows {scale:.3g} of what the tracks turn: tracks that slip, or {name}"
-        return 1.0, None, [Undetermined(what, "record fixes while you turn left and right by 90° once each")]
-    total = gain if witness is None else max(gain, 0.0) + witness
-    if gain < _TRACK_GAIN or (witness is not None and witness < _LEAST_GAIN) or total < _LEAST_GAIN:
+        return 1.0, None, [OpenQuestion(what, "record fixes while you turn left and right by 90° once each")]
+    total = gain if log_ratio is None else max(gain, 0.0) + log_ratio
+    if gain < _TRACK_GAIN or (log_ratio is not None and log_ratio < _LEAST_GAIN) or total < _LEAST_GAIN:
         return 1.0, None, []
     evidence = (
         f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
@@ -288,10 +296,10 @@ def _is_too_fast(turn: FloatArray) -> bool:
     return bool(len(known) and np.percentile(known, 95) > _FASTEST * WINDOW)
 
 
-def _witness(drive: Drive, factor: float) -> float | None:
+def _unit_log_ratio(drive: Drive, factor: float) -> float | None:
     """Ln likelihood ratio of a unit over none, by headings or the path of the fixes; None without both."""
     scales, signs = np.array((factor, 1.0)), [(tracks, sign) for tracks in DISTANCES for sign in (1.0, -1.0)]
-    if _scale_of_heading(drive) is not None:
+    if _scale_by_heading(drive) is not None:
         logs = heading_logs(drive, scales, 0.0)
     else:
         logs = path_logs(drive, scales, 0.0, signs)
@@ -299,7 +307,7 @@ def _witness(drive: Drive, factor: float) -> float | None:
     return float(best[0] - best[1]) if logs.any() else None
 
 
-def _scale_of_heading(drive: Drive) -> float | None:
+def _scale_by_heading(drive: Drive) -> float | None:
     """Turn by the gyro over turn by the headings; None where these do not turn, or are not correlated."""
     usable = np.isfinite(drive.turn) & np.isfinite(drive.heading_turn)
     y, h = drive.turn[usable], drive.heading_turn[usable]
@@ -307,21 +315,22 @@ def _scale_of_heading(drive: Drive) -> float | None:
         return None
     y, h = y - np.median(y), h - np.median(h)
     correlation = float(np.sum(y * h) / np.sqrt(np.sum(y**2) * np.sum(h**2) + 1e-12))
-    return abs(float(np.sum(y * h) / np.sum(h**2))) if abs(correlation) > _FOLLOWS else None
+    return abs(float(np.sum(y * h) / np.sum(h**2))) if abs(correlation) > _LEAST_CORRELATION else None
 
 
-def _is_known(drive: Drive) -> bool:
+def _is_unit_confirmed(drive: Drive) -> bool:
     """Whether turns of tracks or headings confirm the unit of the gyro."""
-    of_heading = _scale_of_heading(drive)
+    of_heading = _scale_by_heading(drive)
     if of_heading is not None and 0.6 < of_heading < 1.6:
         return True
-    scale = scale_of(drive.turn, drive.x, WINDOW)
-    return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and turns_of(drive.turn) >= LEAST_TURNS
+    scale = turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
+    return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and count_turns(drive.turn) >= LEAST_TURNS
 
 
-def _bias(drive: Drive, gyro: Gyro) -> Cause | None:
+def _judge_bias(drive: Drive, gyro: Gyro) -> Cause | None:
     """The cause if the bias is large: at standstill and in motion, or against the turn of the headings."""
-    found = _at_standstill(drive.turn, drive.x) or _against_heading(drive.turn, drive.heading_turn)
+    found = _standstill_bias(drive.turn, drive.tracks_over_tread)
+    found = found or _bias_by_heading(drive.turn, drive.heading_turn)
     if found is None:
         return None
     bias, log_ratio, evidence = found
@@ -334,13 +343,13 @@ def _bias(drive: Drive, gyro: Gyro) -> Cause | None:
     return Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)
 
 
-def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
+def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
-    still = standing(x)
+    still = standstill_windows(x)
     if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
         return None
-    bias = bias_of(y, x, WINDOW)
+    bias = median_bias(y, x, WINDOW)
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
     if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or spread > 0.5 * abs(bias):
         return None
@@ -348,7 +357,7 @@ def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] 
     best = int(np.argmax(fit.logs))
     rest = y[~still] - float(fit.efficiencies[best]) * (x[~still] @ PATTERNS[best])
     variance = 0.05**2 + 0.02 * np.sum(x[~still] ** 2, axis=1)
-    logs = [float(mixture(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
+    logs = [float(log_mixture_density(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
     if logs[0] < logs[1]:
         return None
     evidence = (
@@ -358,7 +367,7 @@ def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] 
     return bias, logs[0] - logs[1] + 2.0 * float(still.sum()), evidence
 
 
-def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, float, str] | None:
+def _bias_by_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, float, str] | None:
     usable = np.isfinite(turn) & np.isfinite(of_heading)
     if usable.sum() < _LEAST_COMPARED:
         return None
@@ -378,9 +387,13 @@ def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, f
     )
 
 
-def upside_down(gyro: Gyro, log_odds: float) -> Cause:
+def upside_down_cause(gyro: Gyro, log_odds: float) -> Cause:
     """The cause if turns and gravity are both inverted."""
     evidence = "turns about z and gravity along z are both the other way round: the unit hangs upside down"
     return Cause(
-        "imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0))
+        "imu_mounting",
+        gyro.name,
+        evidence,
+        odds_of(log_odds),
+        remedies.mounting(gyro, rotation_to_vertical(2, -1.0)),
     )

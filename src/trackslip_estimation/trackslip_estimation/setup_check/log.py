@@ -73,12 +73,12 @@ class Fixes:
         return float(np.median(self.stddevs)) if len(self.stddevs) else 0.0
 
     @property
-    def arm(self) -> complex:
+    def complex_lever(self) -> complex:
         """The stated lever arm, m."""
         return complex(*self.lever)
 
     @cached_property
-    def z(self) -> ComplexArray:
+    def centred_places(self) -> ComplexArray:
         """(n,) places about their mean, m."""
         z = self.places @ np.array((1.0, 1.0j))
         return np.asarray(z - z.mean() if len(z) else z)

@@ -31,7 +31,7 @@ _SLIP_SHARE = 0.03  # residual of any path by slips, share of the extent of a se
 _LEAST_STEPS = 30  # between fixes, to estimate their noise
 _SPACING = 1.0  # s between fixes with independent errors
 _LONGEST_OUTAGE = 5.0  # s without fixes within a segment
-_TELLING = 0.5  # ln likelihood ratio that a segment must be able to add
+_LEAST_DISTINCTION = 0.5  # ln likelihood ratio that a segment must be able to add
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class Path:
     headings: FloatArray  # (m + 1,) rad
     is_known: BoolArray  # (m,) cells with known increments
 
-    def at(self, t: FloatArray, lever: complex = 0.0) -> ComplexArray:
+    def places_at(self, t: FloatArray, lever: complex = 0.0) -> ComplexArray:
         """(n,) places of a point of base_link at times t, m."""
         heading = np.interp(t, self.edges, self.headings)
         q = np.interp(t, self.edges, self.places.real) + 1j * np.interp(t, self.edges, self.places.imag)
         return np.asarray(q + lever * np.exp(1j * heading))
 
 
-class Shapes(NamedTuple):
+class PathFits(NamedTuple):
     """Fits of p paths."""
 
     logs: FloatArray  # (p,) ln likelihood ratio over the worst path
@@ -68,7 +68,7 @@ def dead_reckoning(grid: Grid, distance: FloatArray, turn: FloatArray) -> Path:
     return Path(grid.edges, places, headings, known)
 
 
-def thinned(fixes: Fixes, spacing: float) -> Fixes:
+def thin_fixes(fixes: Fixes, spacing: float) -> Fixes:
     """Fixes at least ``spacing`` s apart, with finite places."""
     kept, last = [], -np.inf
     sound: BoolArray = np.asarray(np.isfinite(fixes.places).all(axis=1))
@@ -80,12 +80,12 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
     return replace(fixes, t=fixes.t[index], places=fixes.places[index], stddevs=fixes.stddevs[index])
 
 
-def with_shown_noise(fixes: Fixes) -> Fixes:
+def with_measured_noise(fixes: Fixes) -> Fixes:
     """Fixes with the noise that those a second apart show, if they state more; at least a tenth of theirs.
 
     The stated value may be a guess, or a time-correlated error, which is equal in turns and on straights.
     """
-    thin = thinned(fixes, _SPACING)
+    thin = thin_fixes(fixes, _SPACING)
     steps = np.diff(thin.places, axis=0)[np.diff(thin.t) < 1.5 * _SPACING]
     if len(steps) < _LEAST_STEPS:
         return fixes
@@ -115,7 +115,7 @@ def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> In
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def free_counts(fixes: Fixes, parts: IntArray) -> FloatArray:
+def degrees_of_freedom(fixes: Fixes, parts: IntArray) -> FloatArray:
     """(s,) degrees of freedom: fixes with independent errors, less those of place and scale."""
     duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
     count = np.minimum(np.diff(parts, axis=1)[:, 0], duration / _SPACING + 1.0)
@@ -138,45 +138,47 @@ class Moments:
         """(s,) Σ conj(a) b of the deviations of both from their means."""
         return np.asarray(self.sums(np.conj(a) * b) - np.conj(self.sums(a)) * self.sums(b) / self.counts)
 
-    def rests(self, a: ComplexArray, z: ComplexArray) -> FloatArray:
+    def residual_squares(self, a: ComplexArray, z: ComplexArray) -> FloatArray:
         """(s,) residual squares of z after the best multiple of a."""
         of_a = np.maximum(self.product(a, a).real, 1e-12)
         left = self.product(z, z).real - np.abs(self.product(a, z)) ** 2 / of_a
         return np.asarray(np.maximum(left, 0.0))
 
 
-def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
+def compare_paths(paths: Sequence[Path], fixes: Fixes) -> PathFits:
     """Likelihoods of the paths, with segments of the length that distinguishes them best."""
-    columns = np.array([path.at(fixes.t, fixes.arm) for path in paths])
-    best, best_power = Shapes(np.zeros(len(paths)), 0, LENGTHS[0]), 0.0
+    columns = np.array([path.places_at(fixes.t, fixes.complex_lever) for path in paths])
+    best, best_power = PathFits(np.zeros(len(paths)), 0, LENGTHS[0]), 0.0
     for length in LENGTHS:
         parts = segments(paths[0], fixes, length)
         if not len(parts):
             continue
-        logs, might = _of_segments(columns, fixes, parts)
-        if might.sum() > best_power:
-            telling = might > _TELLING
-            total = logs[:, telling].sum(axis=1)
-            best, best_power = Shapes(total - total.min(), int(telling.sum()), length), float(might.sum())
+        logs, distinction = _segment_logs(columns, fixes, parts)
+        if distinction.sum() > best_power:
+            is_distinct = distinction > _LEAST_DISTINCTION
+            total = logs[:, is_distinct].sum(axis=1)
+            best = PathFits(total - total.min(), int(is_distinct.sum()), length)
+            best_power = float(distinction.sum())
     return best
 
 
-def _of_segments(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple[FloatArray, FloatArray]:
+def _segment_logs(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple[FloatArray, FloatArray]:
     """(p, s) ln likelihoods, at most ``MOST_LOG`` apart; (s,) sums of the ratios that the paths allow."""
-    moments, z = Moments(parts), fixes.z
+    moments, z = Moments(parts), fixes.centred_places
     extent = np.sqrt(np.maximum(moments.product(z, z).real, 0.0) / moments.counts)
     noise = np.sqrt(moments.sums((fixes.stddevs**2).astype(np.complex128)).real / moments.counts)
     floor = moments.counts * (2.0 * noise**2 + (_SLIP_SHARE * extent) ** 2 + 1e-6)
-    free, both = free_counts(fixes, parts), np.vstack((columns, z))
-    rests = np.array([_rests(both[:, first:stop]) for first, stop in parts.tolist()])  # (s, p + 1, p + 1)
-    logs = -free * np.log(rests[:, :-1, -1].T + floor)
+    free, both = degrees_of_freedom(fixes, parts), np.vstack((columns, z))
+    parts_of_both = [both[:, first:stop] for first, stop in parts.tolist()]
+    squares = np.array([_pairwise_residual_squares(part) for part in parts_of_both])  # (s, p + 1, p + 1)
+    logs = -free * np.log(squares[:, :-1, -1].T + floor)
     logs = np.maximum(logs - logs.max(axis=0), -MOST_LOG)
     a, b = np.triu_indices(len(columns), 1)
-    might = np.sum(np.minimum(free * np.log1p(rests[:, a, b].T / floor), MOST_LOG), axis=0)
-    return logs, np.asarray(might)
+    distinction = np.sum(np.minimum(free * np.log1p(squares[:, a, b].T / floor), MOST_LOG), axis=0)
+    return logs, np.asarray(distinction)
 
 
-def _rests(columns: ComplexArray) -> FloatArray:
+def _pairwise_residual_squares(columns: ComplexArray) -> FloatArray:
     """(p, p) residual squares of each column (p, n) after a place and the best multiple of each other one."""
     own = columns - columns.mean(axis=1, keepdims=True)
     products = own.conj() @ own.T

@@ -8,54 +8,54 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.count_angle import COARSER, MORE_DIGITS, rounding_of
+from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, MeasuredValue, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import WINDOW
-from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrapped
+from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrap_angles
 from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_of
-from trackslip_estimation.setup_check.path import Path, thinned
+from trackslip_estimation.setup_check.path import Path, thin_fixes
 from trackslip_estimation.setup_check.signs import HEADING
 
 _LENGTHS = (5.0, 10.0, 20.0)  # s, of segments
 _ICR_SHARE = 0.15  # longitudinal offset of the centre of rotation, share of the contact length
 _LEAST_LEVER = 0.08  # m
 _SIGNIFICANT = 4.0  # standard deviations
-_ON_TIME, _LATE = 0.05, 0.5  # s, standard deviation of a delay, if headings show it, and else
-_TURN = "turn on the spot by 180° to the left and to the right"
-_EXACT = 0.06  # standard deviation of a known lever arm, share of the tread
+_KNOWN_DELAY_STDDEV, _UNKNOWN_DELAY_STDDEV = 0.05, 0.5  # s, where headings show the delay, and else
+_TURN_REQUEST = "turn on the spot by 180° to the left and to the right"
+_EXACT_SHARE = 0.06  # standard deviation of a known lever arm, share of the tread
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad; a side slope causes a smaller slip angle
 _LEAST_COURSES = 5  # straight pieces
 _MOST_PIECES = 0.8  # share of the pieces
-_AGREE = 0.8  # length of the mean of directions that agree
+_LEAST_AGREEMENT = 0.8  # length of the mean of directions that agree
 _HALF_TURN = 0.3  # rad, tolerance of half a turn
-_SOON = 30.0  # s between pieces; a gyro drifts by less than _HALF_TURN
-_FRONT = "or front and rear exchanged: tracks swapped, and both counting backwards"
-_AHEAD = "drive 10 m ahead: both tracks must count up"
-_FAR = 5e3  # m from the origin of the map, beyond any site
-_GRID = 1e5  # m: coordinates of a national grid
-_APART = 20.0  # m between sources, all the time
+_LONGEST_INTERVAL = 30.0  # s between pieces; a gyro drifts by less than _HALF_TURN
+_FRONT_TEXT = "or front and rear exchanged: tracks swapped, and both counting backwards"
+_AHEAD_REQUEST = "drive 10 m ahead: both tracks must count up"
+_FARTHEST_SITE = 5e3  # m from the origin of the map, beyond any site
+_LEAST_GRID_COORDINATE = 1e5  # m: coordinates of a national grid
+_LEAST_SEPARATION = 20.0  # m between sources, all the time
 
 
-def lever_of(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> Lever | None:
+def best_lever(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> Lever | None:
     """Δl by the segment length with the smallest error; ``is_on_time``: headings show that fixes are."""
-    thin, late = thinned(fixes, 0.2), _ON_TIME if is_on_time else _LATE
-    fits = [fit_lever(path, thin, length, tread, late) for length in _LENGTHS]
+    thin, delay_stddev = thin_fixes(fixes, 0.2), _KNOWN_DELAY_STDDEV if is_on_time else _UNKNOWN_DELAY_STDDEV
+    fits = [fit_lever(path, thin, length, tread, delay_stddev) for length in _LENGTHS]
     found = [lever for lever in fits if lever is not None]
     return min(found, key=lambda lever: float(np.minimum(lever.stddevs, tread).sum()), default=None)
 
 
 def judge_lever(
     lever: Lever | None, fixes: Fixes, machine: Machine
-) -> tuple[list[Cause], list[Undetermined]]:
+) -> tuple[list[Cause], list[OpenQuestion]]:
     """A wrong lever arm of a source on the undercarriage."""
     if fixes.is_above:
         needed = "measure it by tape: the check knows lever arms on the undercarriage only"
-        return [], [Undetermined(f"lever arm of {fixes.name}, which swings", needed)]
+        return [], [OpenQuestion(f"lever arm of {fixes.name}, which swings", needed)]
     if lever is None or lever.turned < _LEAST_TURN or min(lever.stddevs) > 0.5 * machine.tread + 0.3:
-        return [], [Undetermined(f"lever arm of {fixes.name}", _TURN)]
+        return [], [OpenQuestion(f"lever arm of {fixes.name}", _TURN_REQUEST)]
     off = np.array((lever.value.real, lever.value.imag))
     stddevs = np.array(lever.stddevs)
     allowed = np.array(
@@ -63,18 +63,20 @@ def judge_lever(
     )
     is_off = np.abs(off) > allowed + _SIGNIFICANT * stddevs
     if not is_off.any() or lever.log_ratio < LEAST_LOG:
-        if max(stddevs) < _EXACT * machine.tread:
+        if max(stddevs) < _EXACT_SHARE * machine.tread:
             return [], []
         what = f"lever arm of {fixes.name}, which turns show to ± {_SIGNIFICANT * max(stddevs):.2g} m only"
-        return [], [Undetermined(what, _TURN)]
+        return [], [OpenQuestion(what, _TURN_REQUEST)]
     value = np.array(fixes.lever) + off
     is_mirrored = (np.abs(value + fixes.lever) < allowed + _SIGNIFICANT * stddevs).all()
     if np.hypot(*fixes.lever) > _LEAST_LEVER and is_mirrored:
         return [], [
-            Undetermined(f"lever arm of {fixes.name} of the other sign, {_FRONT}", _AHEAD, is_wrong=True)
+            OpenQuestion(
+                f"lever arm of {fixes.name} of the other sign, {_FRONT_TEXT}", _AHEAD_REQUEST, is_wrong=True
+            )
         ]
     group = group_of(fixes.name)
-    known = [k for k in (0, 1) if is_off[k] or stddevs[k] < _EXACT * machine.tread]
+    known = [k for k in (0, 1) if is_off[k] or stddevs[k] < _EXACT_SHARE * machine.tread]
     shown = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * stddevs[k]:.2f}" for k in known)
     evidence = (
         f"in turns the fixes are those of a sensor at {shown} m; "
@@ -85,32 +87,34 @@ def judge_lever(
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
-def slides(drive: Drive) -> bool:
+def is_sliding(drive: Drive) -> bool:
     """Whether the machine moves sideways, to the same side in forward and reverse."""
     steps = drive.courses
-    is_reverse = drive.x.sum(axis=1)[steps.windows] < 0.0
+    is_reverse = drive.tracks_over_tread.sum(axis=1)[steps.windows] < 0.0
     if min(is_reverse.sum(), (~is_reverse).sum()) < _LEAST_COURSES:
         return False
     across = np.exp(1j * (steps.courses - steps.headings))
     by_tracks = np.where(is_reverse, -across, across)
-    goes = abs(across.mean()) > max(abs(by_tracks.mean()), _AGREE)
+    goes = abs(across.mean()) > max(abs(by_tracks.mean()), _LEAST_AGREEMENT)
     return bool(goes and abs(across.mean().imag) > abs(across.mean().real))
 
 
-def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Undetermined], Measured | None]:
+def judge_offset(
+    drive: Drive, compass: Compass
+) -> tuple[list[Cause], list[OpenQuestion], MeasuredValue | None]:
     """Offset of headings against courses: cause, open question, and its value where there are courses."""
     steps = drive.courses
     if len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
-        return [], [Undetermined(f"offset of the heading of {compass.name}", needed)], None
-    distances = drive.x.sum(axis=1)[steps.windows]
-    differences = wrapped(steps.courses - steps.headings - np.where(distances < 0.0, np.pi, 0.0))
+        return [], [OpenQuestion(f"offset of the heading of {compass.name}", needed)], None
+    distances = drive.tracks_over_tread.sum(axis=1)[steps.windows]
+    differences = wrap_angles(steps.courses - steps.headings - np.where(distances < 0.0, np.pi, 0.0))
     middle = mean_direction(differences)
-    rest = wrapped(differences - middle)
+    rest = wrap_angles(differences - middle)
     scatter = 1.4826 * float(np.median(np.abs(rest)))
     stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(rest)), 0.01))
     basis = f"{len(rest)} straight pieces, course less heading"
-    measured = Measured("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
+    measured = MeasuredValue("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
     causes, open_ones = _judge_reverse(compass, distances < 0.0, np.abs(rest) > np.pi - _HALF_TURN)
     if causes or open_ones:
         return causes, open_ones, None
@@ -121,8 +125,8 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
     if log_ratio < LEAST_LOG:
         return [], [], measured
     if abs(middle) > np.pi - _HALF_TURN:
-        what = f"heading of {compass.name} off by half a turn, {_FRONT}"
-        return [], [Undetermined(what, _AHEAD, is_wrong=True)], measured
+        what = f"heading of {compass.name} off by half a turn, {_FRONT_TEXT}"
+        return [], [OpenQuestion(what, _AHEAD_REQUEST, is_wrong=True)], measured
     if compass.of_poses:
         remedy = (
             f"Add {middle:.3f} rad to the headings of {compass.name} where they "
@@ -133,7 +137,7 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
         if abs(abs(middle) - np.pi / 2.0) < _LEAST_OFFSET:
             remedy += "; if x of the places points north, exchange x and y and turn one sign instead"
     else:
-        offset = float(wrapped(np.array((compass.offset - middle,)))[0])
+        offset = float(wrap_angles(np.array((compass.offset - middle,)))[0])
         remedy = f"Set {remedies.parameter(f'{group_of(compass.name)}.offset', round(offset, 3))}"
     evidence = (
         f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the "
@@ -144,7 +148,7 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
 
 def _judge_reverse(
     compass: Compass, is_reverse: BoolArray, is_opposite: BoolArray
-) -> tuple[list[Cause], list[Undetermined]]:
+) -> tuple[list[Cause], list[OpenQuestion]]:
     """Headings that flip with the direction of travel, or tracks that do not count it.
 
     (n,) straight pieces: whether the tracks reverse; whether course less heading is half a turn from most.
@@ -162,18 +166,18 @@ def _judge_reverse(
         leave = leave if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
         remedy = f"Take the heading of two antennas on the undercarriage, or {leave}"
         return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
-    return [], [] if len(back) else [_without_direction(compass.name, turned, len(ahead))]
+    return [], [] if len(back) else [_direction_question(compass.name, turned, len(ahead))]
 
 
-def _without_direction(by: str, turned: int, pieces: int) -> Undetermined:
+def _direction_question(by: str, turned: int, pieces: int) -> OpenQuestion:
     what = (
         f"machine that goes backwards by {by} in {turned} of {pieces} straight pieces, while the tracks "
         "count forward: encoders without a direction, or a heading of a cab that swung"
     )
-    return Undetermined(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)
+    return OpenQuestion(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)
 
 
-def judge_direction(drive: Drive) -> list[Undetermined]:
+def judge_direction(drive: Drive) -> list[OpenQuestion]:
     """Tracks that count forward only, by courses and the turns of the gyro, without headings.
 
     Between two straight pieces, the course turns as the gyro does, or by half a turn more.
@@ -183,15 +187,18 @@ def judge_direction(drive: Drive) -> list[Undetermined]:
     edges = drive.grid.edges
     turned = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
     steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, turned)
-    if len(steps.courses) < _LEAST_COURSES or (drive.x.sum(axis=1)[steps.windows] < 0.0).any():
+    if (
+        len(steps.courses) < _LEAST_COURSES
+        or (drive.tracks_over_tread.sum(axis=1)[steps.windows] < 0.0).any()
+    ):
         return []
-    more = np.abs(wrapped(np.diff(steps.courses - steps.headings)))
-    turns_round = (more > np.pi - _HALF_TURN) & (np.diff(steps.windows) * WINDOW < _SOON)
+    more = np.abs(wrap_angles(np.diff(steps.courses - steps.headings)))
+    turns_round = (more > np.pi - _HALF_TURN) & (np.diff(steps.windows) * WINDOW < _LONGEST_INTERVAL)
     is_opposite = np.concatenate(([0], np.cumsum(turns_round))) % 2 == 1
     fewer = min(int(is_opposite.sum()), int((~is_opposite).sum()))
     if fewer < _LEAST_COURSES or turns_round.sum() < 2:
         return []
-    return [_without_direction(f"{drive.fixes.name} and {drive.gyro.name}", fewer, len(is_opposite))]
+    return [_direction_question(f"{drive.fixes.name} and {drive.gyro.name}", fewer, len(is_opposite))]
 
 
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
@@ -204,7 +211,7 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
             continue
         middle = np.median(places, axis=0)
         size = np.abs(middle)
-        is_grid = (size > _GRID).all() and size[0] < 3.5e7 and size[1] < 1.1e7
+        is_grid = (size > _LEAST_GRID_COORDINATE).all() and size[0] < 3.5e7 and size[1] < 1.1e7
         far = float(np.hypot(*middle))
         steps = np.hypot(*np.diff(places, axis=0).T)
         leaps = np.flatnonzero(steps > 1e3)
@@ -216,14 +223,14 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
                 "{latitude: …, longitude: …}; of gnss_localizer its datum"
             )
             causes.append(Cause("datum", one.name, evidence, odds_of(15.0), remedy))
-        elif far > _FAR and not is_grid:
+        elif far > _FARTHEST_SITE and not is_grid:
             evidence = f"fixes are {far / 1e3:.1f} km from the origin of the map"
             remedy = (
                 "Set the datum to the site: in the mapping datum: first; of "
                 "gnss_localizer datum_latitude and datum_longitude"
             )
             causes.append(Cause("datum", one.name, evidence, odds_of(12.0), remedy))
-    return causes + _apart(fixes)
+    return causes + _judge_separation(fixes)
 
 
 def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
@@ -233,7 +240,7 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
         rounding = max(
             (rounding_of(column[np.isfinite(column)], one.noise) for column in one.places.T), default=0.0
         )
-        if rounding <= COARSER * one.noise:
+        if rounding <= LEAST_ROUNDING_RATIO * one.noise:
             continue
         evidence = (
             f"its places are rounded by {rounding:.2g} m, and state a standard deviation of {one.noise:.2g} m"
@@ -251,7 +258,7 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
     return causes
 
 
-def _apart(fixes: Sequence[Fixes]) -> list[Cause]:
+def _judge_separation(fixes: Sequence[Fixes]) -> list[Cause]:
     if len(fixes) < 2:
         return []
     first, second = fixes[0], fixes[1]
@@ -262,7 +269,7 @@ def _apart(fixes: Sequence[Fixes]) -> list[Cause]:
     gaps = np.hypot(*difference[sound].T)
     middle = float(np.median(gaps))
     noise = first.noise + second.noise
-    if middle < max(_APART, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:
+    if middle < max(_LEAST_SEPARATION, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:
         return []
     evidence = f"places of {first.name} and {second.name} are {middle:.0f} m apart, all the time"
     remedy = (

@@ -19,14 +19,14 @@ from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, integral
 from trackslip_estimation.setup_check.log import Log, Tracks
 from trackslip_estimation.setup_check.speeds import rough_scale
-from trackslip_estimation.setup_check.turning import scale_of
+from trackslip_estimation.setup_check.turning import turn_scale
 
 _LEAST_EXPLAINED = 0.6  # R², by the right quantity
 _MOST_EXPLAINED = 0.95  # cap of any R²: the last per cents do not decide
 _LEAST_WINDOWS = 8
 
 
-class _Reading(NamedTuple):
+class _Interpretation(NamedTuple):
     """One interpretation of the columns, and the remedy if it is right."""
 
     cause: str
@@ -35,7 +35,7 @@ class _Reading(NamedTuple):
     remedy: str
 
 
-def _tracks(angles: Callable[[Tracks], FloatArray]) -> Callable[[Log], Log]:
+def _replace_angles(angles: Callable[[Tracks], FloatArray]) -> Callable[[Log], Log]:
     """A change of a log to ``angles`` (n, 2) of the sprockets, rad, and their derivatives."""
 
     def change(log: Log) -> Log:
@@ -45,40 +45,40 @@ def _tracks(angles: Callable[[Tracks], FloatArray]) -> Callable[[Log], Log]:
     return change
 
 
-def _gyro_of_angles(log: Log) -> Log:
+def _differentiate_gyro(log: Log) -> Log:
     gyros = (replace(g, rates=np.gradient(np.unwrap(g.rates, axis=0), g.t, axis=0)) for g in log.gyros)
     return replace(log, gyros=tuple(gyros))
 
 
-_READINGS = (
-    _Reading(
+_INTERPRETATIONS = (
+    _Interpretation(
         "speed_unit",
         "speeds, declared positions",
-        _tracks(lambda tracks: integral(tracks.t, tracks.angles)),
+        _replace_angles(lambda tracks: integral(tracks.t, tracks.angles)),
         "Call the columns left_velocity and right_velocity in the mapping",
     ),
-    _Reading(
+    _Interpretation(
         "speed_unit",
         "increments, declared positions",
-        _tracks(lambda tracks: np.cumsum(tracks.angles, axis=0)),
+        _replace_angles(lambda tracks: np.cumsum(tracks.angles, axis=0)),
         "State 'increments: true' at left_position and right_position in the mapping",
     ),
-    _Reading(
+    _Interpretation(
         "speed_unit",
         "positions, declared speeds",
-        _tracks(lambda tracks: tracks.speeds),
+        _replace_angles(lambda tracks: tracks.speeds),
         "Call the columns left_position and right_position in the mapping",
     ),
-    _Reading(
+    _Interpretation(
         "gyro_unit",
         "angles, declared rates",
-        _gyro_of_angles,
+        _differentiate_gyro,
         "Name the column of the yaw rate, not of the yaw angle, at angular_velocity_z in the mapping",
     ),
 )
 
 
-class _Found(NamedTuple):
+class _Relations(NamedTuple):
     """Relations between pairs of sensors of a drive."""
 
     weight: float  # ln likelihood ratio over no relation
@@ -87,10 +87,10 @@ class _Found(NamedTuple):
 
 def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
     """The drive with its columns as the right quantity, and the cause if another quantity was declared."""
-    declared, best = _explained(drive), (drive, _Found(0.0, np.zeros(4)), _READINGS[0])
-    for reading in _READINGS:
+    declared, best = _fit_relations(drive), (drive, _Relations(0.0, np.zeros(4)), _INTERPRETATIONS[0])
+    for reading in _INTERPRETATIONS:
         other = Drive(reading.change(drive.log))
-        found = _explained(other)
+        found = _fit_relations(other)
         gain = found.weight - best[1].weight
         if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # a tie: by misfit
             best = other, found, reading
@@ -109,21 +109,23 @@ def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
 
 def _misfit(drive: Drive) -> float:
     """|ln| of the ratio of fixes to track distances, or else of gyro to track turns, over the usual ratio."""
-    distance, turn = rough_scale(drive), scale_of(drive.turn, drive.x, WINDOW)
+    distance, turn = rough_scale(drive), turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
     ratio = turn / USUAL_EFFICIENCY if np.isnan(distance) else distance
     return float(np.nan_to_num(abs(np.log(ratio)), nan=np.inf))
 
 
-def _explained(drive: Drive) -> _Found:
-    distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))  # with equal signs, or opposite
+def _fit_relations(drive: Drive) -> _Relations:
+    distances = np.abs(
+        drive.tracks_over_tread @ np.array(((1.0, 1.0), (1.0, -1.0)))
+    )  # with equal signs, or opposite
     pairs = (
         max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1)),
-        explained_share(drive.turn, drive.x),
-        explained_share(drive.heading_turn, drive.x),
+        explained_share(drive.turn, drive.tracks_over_tread),
+        explained_share(drive.heading_turn, drive.tracks_over_tread),
         explained_share(drive.heading_turn, drive.turn[:, np.newaxis]),
     )
     weight = sum(-count / 2.0 * float(np.log1p(-share)) for share, count in pairs)
-    return _Found(weight, np.array([share for share, _ in pairs]))
+    return _Relations(weight, np.array([share for share, _ in pairs]))
 
 
 def explained_share(shown: FloatArray, x: FloatArray) -> tuple[float, int]:

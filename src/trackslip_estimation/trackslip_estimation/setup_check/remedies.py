@@ -65,7 +65,7 @@ def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
 
 def mounting(gyro: Gyro, fix: FloatArray) -> str:
     """Remedy for a wrong mounting; ``fix`` (3, 3) turns vectors from stated to true axes of base_link."""
-    roll, pitch, yaw = angles_of(fix @ rotation(*gyro.mounting))
+    roll, pitch, yaw = euler_angles(fix @ rotation(*gyro.mounting))
     group = group_of(gyro.name)
     names = (("roll", roll), ("pitch", pitch), ("yaw", yaw))
     return "Set " + " ".join(parameter(f"{group}.mounting_{name}", round(value, 4)) for name, value in names)
@@ -84,7 +84,7 @@ def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
-def angles_of(R: FloatArray) -> tuple[float, float, float]:
+def euler_angles(R: FloatArray) -> tuple[float, float, float]:
     """Roll, pitch, yaw of a rotation (3, 3), rad."""
     pitch = math.asin(float(np.clip(-R[2, 0], -1.0, 1.0)))
     if abs(abs(pitch) - math.pi / 2.0) < 1e-6:

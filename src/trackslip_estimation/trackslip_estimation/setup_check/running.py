@@ -33,7 +33,7 @@ from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS
 LONGEST_S = 150.0  # s of measurements that are evaluated
 RECENT_S = 45.0  # s of the newest part, which withdraws a cause
 _PERIOD_NS = 20_000_000  # ns between readings of one source that are kept: the check needs no more
-_MOST = int(LONGEST_S / 0.02)  # readings of a source
+_MOST_READINGS = int(LONGEST_S / 0.02)  # readings of a source
 _NO_ANGLES = (np.nan, np.nan)
 
 _Row = tuple[int, tuple[float, ...]]
@@ -51,13 +51,13 @@ class RunningCheck:
 
     def add(self, m: Measurement) -> None:
         """Keep a measurement as the estimator receives it; this takes about a microsecond."""
-        found = _row(m)
+        found = _to_row(m)
         if found is None:
             return
         key, values = found
         rows = self._rows.get(key)
         if rows is None:
-            rows = self._rows.setdefault(key, deque(maxlen=_MOST))
+            rows = self._rows.setdefault(key, deque(maxlen=_MOST_READINGS))
         if not rows or not 0 <= m.stamp_ns - rows[-1][0] < _PERIOD_NS:
             with self._lock:
                 rows.append((m.stamp_ns, values))
@@ -72,13 +72,13 @@ class RunningCheck:
     def evaluate(self) -> Result:
         """Run the check on the kept measurements; return, and keep, the causes that hold now."""
         columns = self._columns(LONGEST_S)
-        result = self._checked(columns)
+        result = self._check_columns(columns)
         if result.causes:
-            recent = self._checked(self._columns(RECENT_S))
+            recent = self._check_columns(self._columns(RECENT_S))
             names = {cause.cause for cause in recent.causes}
             kept = tuple(c for c in result.causes if c.cause in names or not _is_decided(recent))
             if len(kept) < len(result.causes) and _is_decided(recent):
-                self._forget(RECENT_S)
+                self._remove_older(RECENT_S)
             result = Result(kept, result.undetermined, result.facts)
         is_open = bool(result.open_questions)
         if is_open and not self._was_open:
@@ -88,7 +88,7 @@ class RunningCheck:
         self.result = result
         return result
 
-    def _checked(self, columns: Columns) -> Result:
+    def _check_columns(self, columns: Columns) -> Result:
         log = log_of_columns(columns, self._parameters)
         return Result() if log is None else check(log)
 
@@ -105,7 +105,7 @@ class RunningCheck:
                 found[key] = stamps[new], values[new]
         return found
 
-    def _forget(self, length_s: float) -> None:
+    def _remove_older(self, length_s: float) -> None:
         with self._lock:
             newest_ns = max((own[-1][0] for own in self._rows.values() if own), default=0)
             for own in self._rows.values():
@@ -113,7 +113,7 @@ class RunningCheck:
                     own.popleft()
 
 
-class Background:
+class BackgroundCheck:
     """Evaluates a running check in a thread of its own, one evaluation at a time."""
 
     def __init__(self, running: RunningCheck, failed: Callable[[Exception], None]) -> None:
@@ -145,7 +145,7 @@ def _is_decided(result: Result) -> bool:
     )
 
 
-def _row(m: Measurement) -> tuple[tuple[int, str], tuple[float, ...]] | None:
+def _to_row(m: Measurement) -> tuple[tuple[int, str], tuple[float, ...]] | None:
     """Kind and source, and the values in the order of ``collect.Columns``; None for other measurements."""
     if isinstance(m, Sprockets):
         return (SPROCKETS, m.source), (m.left_speed, m.right_speed, *(m.positions or _NO_ANGLES))

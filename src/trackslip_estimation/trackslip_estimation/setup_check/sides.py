@@ -14,42 +14,43 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
 
 _STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn; sharpest turn that is used
-_NOTHING = 1e-6  # m
+_ROUNDING = 1e-6  # m
 _LEAST_TURN = 0.2  # rad in a window, beyond the drift of a gyro
 _LEAST_WINDOWS = 5
 _LEAST_RATIO, _USUAL_SHARE = 1.5, 0.8  # q, or 1/q, of a wrong track; share of the windows beyond it
-_DEAD = 0.02  # q of a track without motion
-_SLIPS = (0.55, 1.1)  # distance of the machine over that of a right track
+_MOST_DEAD_RATIO = 0.02  # q of a track without motion
+_RATIO_RANGE = (0.55, 1.1)  # distance of the machine over that of a right track
 FASTEST = 15.0  # m/s, of a machine on tracks
 _SIDES = ("left", "right")
 
 
-class Sides(NamedTuple):
+class TracksResult(NamedTuple):
     """Causes, and the drive with them undone; None: the tracks are unusable."""
 
     drive: Drive | None
     causes: tuple[Cause, ...] = ()
-    undetermined: tuple[Undetermined, ...] = ()
+    undetermined: tuple[OpenQuestion, ...] = ()
 
 
-def examine(drive: Drive, unit: float) -> Sides:
+def compare_tracks(drive: Drive, unit: float) -> TracksResult:
     """Compare the tracks with each other and with the fixes; ``unit``: of the speeds, undone before."""
-    frame, same = _frame(drive, unit), _same(drive)
+    frame, same = _judge_frame(drive, unit), _judge_equal_tracks(drive)
     if same is not None:
-        return Sides(None, (same,))
-    return _sides(drive, unit) if frame is None else Sides(drive.without_fixes(), (frame,))
+        return TracksResult(None, (same,))
+    return _judge_ratio(drive, unit) if frame is None else TracksResult(drive.without_fixes(), (frame,))
 
 
-def _same(drive: Drive) -> Cause | None:
+def _judge_equal_tracks(drive: Drive) -> Cause | None:
     """The cause if both tracks show the same motion in turns."""
     turn = drive.heading_turn if drive.gyro is None else drive.turn
-    goes = np.isfinite(drive.x).all(axis=1) & (np.abs(drive.x).max(axis=1) > _NOTHING) & np.isfinite(turn)
+    tracks = drive.tracks_over_tread
+    goes = np.isfinite(tracks).all(axis=1) & (np.abs(tracks).max(axis=1) > _ROUNDING) & np.isfinite(turn)
     turns = goes & (np.abs(turn) > _LEAST_TURN)
-    is_one = np.abs(drive.x[:, 1] - drive.x[:, 0]) <= _NOTHING
+    is_one = np.abs(tracks[:, 1] - tracks[:, 0]) <= _ROUNDING
     if turns.sum() < _LEAST_WINDOWS or not is_one[goes].all():
         return None
     turned = f"{np.degrees(np.abs(turn[turns]).sum()):.0f}°"
@@ -58,11 +59,11 @@ def _same(drive: Drive) -> Cause | None:
     return Cause("missing_value", "sprockets", evidence, odds_of(2.0 * float(turns.sum())), remedy)
 
 
-def _sides(drive: Drive, unit: float) -> Sides:
-    tracks, distance, turn = _windows(drive, unit)
+def _judge_ratio(drive: Drive, unit: float) -> TracksResult:
+    tracks, distance, turn = _driven_windows(drive, unit)
     if len(distance) < _LEAST_WINDOWS or not np.percentile(turn, 20) < _STRAIGHT > -np.percentile(turn, 80):
-        return Sides(drive)
-    logs = np.log((tracks[:, 0] + _NOTHING) / (tracks[:, 1] + _NOTHING))
+        return TracksResult(drive)
+    logs = np.log((tracks[:, 0] + _ROUNDING) / (tracks[:, 1] + _ROUNDING))
     curve = turn / distance
     bent = curve - curve.mean()
     logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # less the effect of turns
@@ -70,33 +71,33 @@ def _sides(drive: Drive, unit: float) -> Sides:
     shares = [float((logs < -least).mean()), float((logs > least).mean())]
     less = int(shares[1] > shares[0])  # the side with the shorter distance
     if shares[less] < _USUAL_SHARE:
-        return Sides(drive)
-    ahead = np.median(distance[:, np.newaxis] / (tracks + _NOTHING), axis=0)
-    wrong = [k for k, one in enumerate(ahead.tolist()) if not _SLIPS[0] < one < _SLIPS[1]]
+        return TracksResult(drive)
+    ahead = np.median(distance[:, np.newaxis] / (tracks + _ROUNDING), axis=0)
+    wrong = [k for k, one in enumerate(ahead.tolist()) if not _RATIO_RANGE[0] < one < _RATIO_RANGE[1]]
     q = float(np.exp(-abs(np.median(logs))))
     name, other = _SIDES[less], _SIDES[1 - less]
     evidence = f"on straights the {name} sprocket turns {q:.3g} times as far as the {other} one"
     if len(wrong) != 1:
         needed = "count the turns of both sprockets by hand"
-        return Sides(None, (), (Undetermined(evidence, needed, is_wrong=True),))
+        return TracksResult(None, (), (OpenQuestion(evidence, needed, is_wrong=True),))
     side = _SIDES[wrong[0]]
     evidence += f", and fixes agree with the {_SIDES[1 - wrong[0]]} one ({len(distance)} windows)"
     odds = odds_of(2.0 * len(distance))
-    if q < _DEAD:
+    if q < _MOST_DEAD_RATIO:
         remedy = f"Check the {name} encoder, and its name in the mapping or roles file"
-        return Sides(None, (Cause("missing_value", "sprockets", evidence, odds, remedy),))
+        return TracksResult(None, (Cause("missing_value", "sprockets", evidence, odds, remedy),))
     factor = 1.0 / q if wrong[0] == less else q
     remedy = (
         f"Correct counts_per_turn or ratio of the {side} side, or multiply scale by {factor:.3g} at "
         f"{side}_velocity or {side}_position in the mapping"
     )
-    undone = Drive(drive.log.with_tracks(np.diag((1.0, factor) if wrong[0] else (factor, 1.0))))
-    return Sides(undone, (Cause("speed_unit", "sprockets", evidence, odds, remedy),))
+    corrected = Drive(drive.log.with_tracks(np.diag((1.0, factor) if wrong[0] else (factor, 1.0))))
+    return TracksResult(corrected, (Cause("speed_unit", "sprockets", evidence, odds, remedy),))
 
 
-def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _driven_windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Windows with motion: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad turned."""
-    tracks, distance = np.abs(drive.x) * drive.machine.tread * unit, drive.fix_distances
+    tracks, distance = np.abs(drive.tracks_over_tread) * drive.machine.tread * unit, drive.fix_distances
     turn = drive.heading_turn if drive.gyro is None else drive.unbiased_turn
     goes = np.isfinite(distance) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1)
     goes &= np.abs(turn) < _TURNS
@@ -108,11 +109,11 @@ def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatAr
     return tracks[goes], distance[goes], turn[goes]
 
 
-def _frame(drive: Drive, unit: float) -> Cause | None:
+def _judge_frame(drive: Drive, unit: float) -> Cause | None:
     """The cause if fixes show a speed that no machine has, and the tracks a possible one."""
     if drive.fixes is None:
         return None
-    tracks = np.abs(drive.x).max(axis=1) * drive.machine.tread * unit / WINDOW
+    tracks = np.abs(drive.tracks_over_tread).max(axis=1) * drive.machine.tread * unit / WINDOW
     distance = drive.fix_distances / WINDOW
     driven = tracks[np.isfinite(tracks)]
     fastest = float(np.percentile(driven, 95)) if len(driven) else np.inf

@@ -20,7 +20,7 @@ from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
 GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
-_FORWARD = 3.0  # ln odds for each e-fold of the share of the distance that is forward
+_FORWARD_WEIGHT = 3.0  # ln odds for each e-fold of the share of the distance that is forward
 _SHARES = (0.12, 0.88)  # range that this share is clipped to: some machines only reverse
 
 
@@ -42,7 +42,7 @@ class Assignment:
         return np.asarray(self.matrix[1] - self.matrix[0])
 
 
-def _assignments() -> tuple[Assignment, ...]:
+def _make_assignments() -> tuple[Assignment, ...]:
     found = []
     for swap, (left, right) in itertools.product((False, True), itertools.product((1.0, -1.0), repeat=2)):
         signs = {(1.0, 1.0): set(), (-1.0, 1.0): {LEFT}, (1.0, -1.0): {RIGHT}, (-1.0, -1.0): {BOTH}}
@@ -52,7 +52,7 @@ def _assignments() -> tuple[Assignment, ...]:
     return tuple(found)
 
 
-ASSIGNMENTS = _assignments()
+ASSIGNMENTS = _make_assignments()
 DISTANCES = (np.array((1.0, 1.0)), np.array((1.0, -1.0)))  # of recorded tracks, up to a sign
 
 
@@ -97,7 +97,7 @@ def decide(e: Evidence) -> Decision:
         )
     )
     scores = np.array([_score(e, *h) for h in hypotheses])
-    sets = [_causes(*h) for h in hypotheses]
+    sets = [_hypothesis_causes(*h) for h in hypotheses]
     best = int(np.argmax(scores))
     weights = np.exp(scores - scores[best])
     names = sorted(set().union(*sets))
@@ -112,7 +112,7 @@ def decide(e: Evidence) -> Decision:
     return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, some, rivals, untested)
 
 
-def _causes(a: int, g: int, p: int, h: int) -> frozenset[str]:
+def _hypothesis_causes(a: int, g: int, p: int, h: int) -> frozenset[str]:
     others = {name for name, there in ((GYRO, g), (MIRROR, p), (HEADING, h)) if there}
     return ASSIGNMENTS[a].causes | others
 
@@ -121,16 +121,16 @@ def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
     assignment = ASSIGNMENTS[a]
     pattern = turn_pattern(assignment.turn)
     of_distance = 0 if assignment.distance[0] == assignment.distance[1] else 1
-    score = -PRIOR * len(_causes(a, g, p, h))
+    score = -PRIOR * len(_hypothesis_causes(a, g, p, h))
     if e.has_gyro:
-        score += float(e.turns[opposite(pattern) if g else pattern] + e.shapes[of_distance, g ^ p])
+        score += float(e.turns[opposite_pattern(pattern) if g else pattern] + e.shapes[of_distance, g ^ p])
         score += float(e.headings[g ^ h])
     else:
         turned = assignment.turn * (-1.0 if p else 1.0)
         score += float(e.track_shapes[of_distance, track_sense(of_distance, turned)])
-        score += float(e.track_headings[opposite(pattern) if h else pattern])
+        score += float(e.track_headings[opposite_pattern(pattern) if h else pattern])
     score += float(e.courses[a, p, h])
-    return score + _FORWARD * float(np.log(np.clip(e.forward[a], *_SHARES)))
+    return score + _FORWARD_WEIGHT * float(np.log(np.clip(e.forward[a], *_SHARES)))
 
 
 def turn_pattern(turn: FloatArray) -> int:
@@ -138,7 +138,7 @@ def turn_pattern(turn: FloatArray) -> int:
     return {(-1.0, 1.0): 0, (1.0, -1.0): 1, (1.0, 1.0): 2, (-1.0, -1.0): 3}[float(turn[0]), float(turn[1])]
 
 
-def opposite(pattern: int) -> int:
+def opposite_pattern(pattern: int) -> int:
     """Index of the pattern of opposite turns."""
     return (1, 0, 3, 2)[pattern]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import Scales
 from trackslip_estimation.setup_check.log import Log, Machine
 
@@ -41,24 +41,24 @@ _USUAL_TURN, _TURN_SPREAD = 0.6, 0.45  # κ of most machines and grounds, standa
 MOST_TURN, _TURN_NOISE = 1.15, 0.1  # κ that no machine exceeds, standard deviation of its error
 _LEAST_WINDOWS = 5
 _STRAIGHT = 0.9  # chord over path
-_ENOUGH = 20  # straight pieces
+_ENOUGH_PIECES = 20  # straight pieces
 _RADIUS_RANGE = (1.10, 1.55)  # ρ, if the stated radius is too small
-_SLIP = 0.08  # mean of the exponential prior of the slip of a drive
-_AHEAD = 0.04  # standard deviation of negative slip
+_MEAN_SLIP = 0.08  # mean of the exponential prior of the slip of a drive
+_NEGATIVE_SLIP_STDDEV = 0.04  # standard deviation of negative slip
 _LEAST_DISTANCE = 5.0  # m
-_WORST_BEST = 0.56  # ρ on the best ground; below it, the median counts too
-_HOLDS = 1.05  # ρ on the worst ground, exceeded if a wrong unit makes ρ larger than 1
+_MOST_BEST_RATIO = 0.56  # ρ on the best ground; below it, the median counts too
+_LEAST_WORST_RATIO = 1.05  # ρ on the worst ground, exceeded if a wrong unit makes ρ larger than 1
 _GEAR = (1.4, 3.0)  # ratio of displacements
 _LEAST_IN_GEAR = 4  # pieces
 _LEAST_AHEAD = 3  # pieces with ρ that slip does not explain
 _LEAST_HARD = 0.9  # ρ on the best ground; below it, slip or a wrong factor is possible
-_EQUAL = float(np.log(10.0))  # ln likelihood ratio of units that slip does not distinguish
-_BEST = 80.0  # percentile of ρ: the best ground of the drive
+_EQUAL_LOG = float(np.log(10.0))  # ln likelihood ratio of units that slip does not distinguish
+_BEST_PERCENTILE = 80.0  # percentile of ρ: the best ground of the drive
 
 
 def rough_scale(drive: Drive) -> float:
     """ρ on the fastest straights, whatever the signs of the tracks; nan: too little motion."""
-    distance, tracks = drive.fix_distances, drive.x * drive.machine.tread
+    distance, tracks = drive.fix_distances, drive.tracks_over_tread * drive.machine.tread
     sound = np.isfinite(distance) & np.isfinite(tracks).all(axis=1)
     if sound.sum() < _LEAST_WINDOWS:
         return float("nan")
@@ -72,7 +72,7 @@ def rough_scale(drive: Drive) -> float:
     return float(np.percentile(distance[fast] / own[fast], 70))
 
 
-def units_of(log: Log) -> Mapping[str, float]:
+def speed_units(log: Log) -> Mapping[str, float]:
     """Ratio of the speed by the tracks to the true one, by mistake."""
     return {
         **_UNITS,
@@ -82,7 +82,7 @@ def units_of(log: Log) -> Mapping[str, float]:
     }
 
 
-def unit_of(rho: float, units: Mapping[str, float]) -> float:
+def likely_unit(rho: float, units: Mapping[str, float]) -> float:
     """Factor of ``units`` that explains a rough ρ best; 1 where slip or a wrong radius may explain it."""
     if not np.isfinite(rho) or 0.3 <= rho <= 1.75:
         return 1.0
@@ -93,8 +93,8 @@ def slip_log(rho: float) -> float:
     """Ln density of ln ρ for right units: positive slip, or some per cent of negative slip."""
     slip = 1.0 - rho
     if slip >= 0.0:
-        return -min(slip, 1.0) / _SLIP
-    return -0.5 * (slip / _AHEAD) ** 2
+        return -min(slip, 1.0) / _MEAN_SLIP
+    return -0.5 * (slip / _NEGATIVE_SLIP_STDDEV) ** 2
 
 
 def _turn_log(turned: float) -> float:
@@ -105,12 +105,12 @@ def _turn_log(turned: float) -> float:
     return -0.5 * ((float(np.log(turned / _USUAL_TURN)) / _TURN_SPREAD) ** 2 + above**2)
 
 
-def worth(found: Scales) -> tuple[int, int]:
+def piece_counts(found: Scales) -> tuple[int, int]:
     """Number of straight pieces, up to enough of them, and of all pieces."""
-    return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH), len(found.ratios)
+    return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH_PIECES), len(found.ratios)
 
 
-class Ratios:
+class DistanceRatios:
     """ρ of the straight pieces of a drive; where these are too few, of the longer half of all."""
 
     def __init__(self, found: Scales) -> None:
@@ -121,34 +121,34 @@ class Ratios:
         self.values, self.times = found.ratios[use], found.times[use]
 
     @property
-    def worst(self) -> float:
+    def worst_ground_ratio(self) -> float:
         """ρ on the worst ground, without the lowest tenth of the pieces."""
         return float(np.percentile(self.values, 10))
 
     @property
-    def best(self) -> float:
+    def best_ground_ratio(self) -> float:
         """ρ on the best ground."""
-        return float(np.percentile(self.values, _BEST))
+        return float(np.percentile(self.values, _BEST_PERCENTILE))
 
     @property
-    def middle(self) -> float:
+    def median(self) -> float:
         """Median of ρ."""
         return float(np.median(self.values))
 
     @property
-    def scatter(self) -> float:
+    def robust_stddev(self) -> float:
         """Robust standard deviation of ρ."""
-        return 1.4826 * float(np.median(np.abs(self.values - self.middle)))
+        return 1.4826 * float(np.median(np.abs(self.values - self.median)))
 
     @property
-    def spread(self) -> float:
+    def half_interval(self) -> float:
         """Half width of the 95 % interval of the median."""
-        return 2.0 * 1.25 * self.scatter / float(np.sqrt(len(self.values))) + 0.01
+        return 2.0 * 1.25 * self.robust_stddev / float(np.sqrt(len(self.values))) + 0.01
 
 
-def judge(
+def judge_distance(
     found: Scales | None, log: Log, factor: float, distance: float, turned: float
-) -> tuple[list[Cause], list[Undetermined]]:
+) -> tuple[list[Cause], list[OpenQuestion]]:
     """Unit of the speeds, rolling radius and gear, by ρ; ``distance``: by the fixes, m.
 
     ``factor``: of the unit, undone in ``found``. ``turned``: turn by the gyro over turn by the recorded
@@ -158,31 +158,32 @@ def judge(
         needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
-        return [], [Undetermined(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
-    ratios, machine, units = Ratios(found), log.machine, units_of(log)
-    whole = ratios.best / factor  # ρ of the recorded speeds
+        return [], [OpenQuestion(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
+    ratios, machine, units = DistanceRatios(found), log.machine, speed_units(log)
+    whole = ratios.best_ground_ratio / factor  # ρ of the recorded speeds
     names = {name: slip_log(whole * f) for name, f in units.items()}
     best = max(names, key=lambda name: names[name])
     gain = names[best] - max(slip_log(whole), -60.0) - 1.0
-    if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # on all ground
-        middle = ratios.middle / factor
+    if whole < 1.0 and ratios.best_ground_ratio / factor < _MOST_BEST_RATIO:  # on all ground
+        middle = ratios.median / factor
         gain = max(gain, slip_log(middle * units[best]) - slip_log(middle) - 1.0)
-    gear = _gear(ratios, factor) if ratios.is_straight else None
+    gear = _judge_gear(ratios, factor) if ratios.is_straight else None
     if gear is not None:
         return [gear], []
-    middle = ratios.middle / factor
-    holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip only lowers ρ
-    is_radius = holds and ratios.is_straight  # in turns a lever arm has the same effect
-    if is_radius and _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
-        return [_radius(ratios, machine, factor)], []
-    if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
+    middle = ratios.median / factor
+    # slip only lowers ρ
+    is_everywhere = ratios.worst_ground_ratio / factor > _LEAST_WORST_RATIO if whole > 1.0 else True
+    is_radius = is_everywhere and ratios.is_straight  # in turns a lever arm has the same effect
+    if is_radius and _RADIUS_RANGE[0] < middle - ratios.half_interval / factor and middle <= _RADIUS_RANGE[1]:
+        return [_radius_cause(ratios, machine, factor)], []
+    if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and is_everywhere:
         value = units[best]
         by_speeds = names[best] + _turn_log(turned * value)
         if by_speeds < slip_log(whole / _FEET) + _turn_log(turned) + LEAST_LOG:
             what = f"fixes go {whole:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
             needed = "measure 10 m by tape and drive them; turn left and right by 90°"
-            return [], [Undetermined(what, needed, is_wrong=True)]
-        possible = " or ".join(name for name, log in names.items() if log > names[best] - _EQUAL)
+            return [], [OpenQuestion(what, needed, is_wrong=True)]
+        possible = " or ".join(name for name, log in names.items() if log > names[best] - _EQUAL_LOG)
         evidence = f"fixes go {whole:.3g} times as far as the tracks"
         evidence += f"; as {possible}, {whole * value:.2f} times"
         remedy = (
@@ -199,30 +200,32 @@ def judge(
             "and right_velocity in the mapping"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
-    if middle - ratios.spread / factor > _RADIUS_RANGE[0]:
+    if middle - ratios.half_interval / factor > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
-        return [], [Undetermined(what, "drive 20 m straight in each gear")]
+        return [], [OpenQuestion(what, "drive 20 m straight in each gear")]
     ahead = int((ratios.values / factor > _GEAR[0]).sum())
     if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
         what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"
-        return [], [Undetermined(f"{what}: gear", "drive 20 m straight in each gear")]
+        return [], [OpenQuestion(f"{what}: gear", "drive 20 m straight in each gear")]
     if whole < _LEAST_HARD:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
         what = f"slip of {1.0 - whole:.0%}, a rolling radius that is too large, or another unit of the speeds"
-        return [], [Undetermined(what, needed)]
+        return [], [OpenQuestion(what, needed)]
     return [], []
 
 
-def _radius(ratios: Ratios, machine: Machine, factor: float) -> Cause:
-    rho, spread = ratios.middle / factor, ratios.spread / factor
+def _radius_cause(ratios: DistanceRatios, machine: Machine, factor: float) -> Cause:
+    rho, spread = ratios.median / factor, ratios.half_interval / factor
     low, high = (machine.radius * (rho + sign * spread) for sign in (-1.0, 1.0))
     evidence = f"the machine goes {rho:.3f} ± {spread:.3f} times as far as its tracks: no slip does that"
     remedy = f"Set vehicle.kinematics.rolling_radius: {machine.radius * rho:.3g} (m, {low:.3g} to {high:.3g})"
-    log_ratio = 0.5 * ((rho - 1.0) / float(np.hypot(_AHEAD, ratios.scatter / factor))) ** 2
+    log_ratio = (
+        0.5 * ((rho - 1.0) / float(np.hypot(_NEGATIVE_SLIP_STDDEV, ratios.robust_stddev / factor))) ** 2
+    )
     return Cause("rolling_radius", "sprockets", evidence, odds_of(log_ratio), remedy)
 
 
-def _gear(ratios: Ratios, factor: float) -> Cause | None:
+def _judge_gear(ratios: DistanceRatios, factor: float) -> Cause | None:
     """The cause if ρ has two levels over time, the upper of which slip does not explain."""
     order = np.argsort(ratios.times)
     values = np.log(np.maximum(ratios.values[order] / factor, 1e-3))
@@ -261,17 +264,17 @@ def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
     low, high = float(np.percentile(values, 10)), float(np.percentile(values, 90))
     is_high = values > (low + high) / 2.0
     for _ in range(5):
-        smooth = median_of_three(is_high)
+        smooth = majority_of_three(is_high)
         if smooth.all() or not smooth.any():
             break
         low, high = float(np.median(values[~smooth])), float(np.median(values[smooth]))
         is_high = values > (low + high) / 2.0
-    smooth = median_of_three(is_high)
+    smooth = majority_of_three(is_high)
     rest = np.abs(values - np.where(smooth, high, low))
     return smooth, float(np.percentile(rest, 80))
 
 
-def median_of_three(flags: BoolArray) -> BoolArray:
+def majority_of_three(flags: BoolArray) -> BoolArray:
     """(n,) flags after a majority filter over each flag and its neighbours, twice."""
     for _ in range(2):
         padded = np.concatenate((flags[:1], flags, flags[-1:])).astype(np.int64)

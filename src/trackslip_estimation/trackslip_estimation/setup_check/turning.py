@@ -44,16 +44,17 @@ def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0
     y, x = turn[usable] / scale, x[usable]
     if len(y) < 3:
         return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0, 0)
-    none = _unrelated(y, x, length)
+    none = _unrelated_log(y, x, length)
     candidates = PATTERNS @ x.T  # (4, w)
     ks = EFFICIENCIES[:, np.newaxis, np.newaxis]
-    rests = y - ks * candidates  # (k, 4, w)
+    residuals = y - ks * candidates  # (k, 4, w)
     if has_standstill(x):
-        biases = np.full(rests.shape[:2], bias_of(y, x, length) * length)
+        biases = np.full(residuals.shape[:2], median_bias(y, x, length) * length)
     else:
-        biases = np.median(rests, axis=2)
+        biases = np.median(residuals, axis=2)
     variance = _NOISE**2 + SLIP**2 * np.sum(x**2, axis=1)
-    logs = mixture(rests - biases[:, :, np.newaxis], variance, _range(y)).sum(axis=2)  # (k, 4)
+    residuals -= biases[:, :, np.newaxis]
+    logs = log_mixture_density(residuals, variance, _outlier_width(y)).sum(axis=2)  # (k, 4)
     best = np.argmax(logs, axis=0)
     every = np.arange(4)
     found = logs[best, every] - none
@@ -62,13 +63,13 @@ def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0
     return TurnFit(found, EFFICIENCIES[best], bias * scale, moved)
 
 
-def scale_of(turn: FloatArray, x: FloatArray, length: float) -> float:
+def turn_scale(turn: FloatArray, x: FloatArray, length: float) -> float:
     """Turn by the sensor over turn by the tracks, by the pattern that explains it best; nan: few turns."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     if len(y) < 3:
         return float("nan")
-    y = y - bias_of(y, x, length) * length
+    y = y - median_bias(y, x, length) * length
     best, found = -1.0, float("nan")
     for pattern in PATTERNS[[0, 2]]:
         turned = x @ pattern
@@ -83,18 +84,18 @@ def scale_of(turn: FloatArray, x: FloatArray, length: float) -> float:
     return found
 
 
-def bias_of(y: FloatArray, x: FloatArray, length: float) -> float:
+def median_bias(y: FloatArray, x: FloatArray, length: float) -> float:
     """Median rate at standstill, rad/s; without standstill, that of all: turns to both sides cancel."""
-    still = standing(x)
+    still = standstill_windows(x)
     return float(np.median(y[still] if has_standstill(x) else y)) / length if len(y) else 0.0
 
 
 def has_standstill(x: FloatArray) -> bool:
     """Whether the tracks x (w, 2) are at standstill in two windows at least."""
-    return bool(standing(x).sum() >= 2)
+    return bool(standstill_windows(x).sum() >= 2)
 
 
-def standing(x: FloatArray) -> BoolArray:
+def standstill_windows(x: FloatArray) -> BoolArray:
     """(w,) windows in which neither track moves; x (w, 2)."""
     moved = np.abs(x).max(axis=1)
     found: BoolArray = (
@@ -103,24 +104,24 @@ def standing(x: FloatArray) -> BoolArray:
     return found
 
 
-def mixture(rest: FloatArray, variance: FloatArray, width: float) -> FloatArray:
+def log_mixture_density(rest: FloatArray, variance: FloatArray, width: float) -> FloatArray:
     """Ln density of residuals: normal, with one outlier in twenty, uniform within ``width``."""
     usual = (1.0 - OUTLIERS) * np.exp(-0.5 * rest**2 / variance) / np.sqrt(2.0 * np.pi * variance)
     return np.asarray(np.log(usual + OUTLIERS / width))
 
 
-def _range(y: FloatArray) -> float:
+def _outlier_width(y: FloatArray) -> float:
     return 2.0 * max(float(np.abs(y).max(initial=0.0)), 1.0)
 
 
-def _unrelated(y: FloatArray, x: FloatArray, length: float) -> float:
+def _unrelated_log(y: FloatArray, x: FloatArray, length: float) -> float:
     """Ln likelihood of turns that are independent of the tracks."""
-    y = y - bias_of(y, x, length) * length
+    y = y - median_bias(y, x, length) * length
     variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
-    return float(mixture(y, variance, _range(y)).sum())
+    return float(log_mixture_density(y, variance, _outlier_width(y)).sum())
 
 
-def turns_of(turn: FloatArray) -> int:
+def count_turns(turn: FloatArray) -> int:
     """Number of turns of 15° or more in one sense, of (w,) turns in windows."""
     count, total = 0, 0.0
     for own in np.where(np.isfinite(turn), turn, 0.0):

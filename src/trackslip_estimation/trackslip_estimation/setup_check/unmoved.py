@@ -6,16 +6,16 @@ import numpy as np
 
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.log import Fixes
 from trackslip_estimation.setup_check.quantities import explained_share
 from trackslip_estimation.setup_check.sides import FASTEST
 from trackslip_estimation.setup_check.speeds import MOST_TURN
-from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
 
 _LEAST_DISTANCE = 10.0  # m, by the tracks
-_QUIETEST = 5e-3  # m, extent of the fixes of any receiver within minutes
+_LEAST_EXTENT = 5e-3  # m, extent of the fixes of any receiver within minutes
 _STILL = 1e-4  # extent of the fixes, share of the distance: no path is so narrow
 _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the distance
@@ -27,7 +27,7 @@ _ROUNDING = 1e-9  # m
 _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
 
 
-def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
+def judge_fixes(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
     """Fixes that repeat, stay at one place, or move far too little while the tracks move."""
     fixes = drive.fixes
     if fixes is None or len(fixes.t) < _LEAST_PLACES:
@@ -40,15 +40,15 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
         what = f"{name} repeats its positions while the tracks drive {repeated:.0f} m: "
         what += "a receiver that is frozen, or another column"
         needed = "watch the live positions while the machine drives"
-        return [], [Undetermined(what, needed, is_wrong=True)]
-    if (ratio := _followed(drive, distance)) > 0.0:
+        return [], [OpenQuestion(what, needed, is_wrong=True)]
+    if (ratio := _wrong_unit_ratio(drive, distance)) > 0.0:
         evidence = (
             f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
         remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
         return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
     extent = float(np.ptp(fixes.places, axis=0).max())
-    if extent > min(_QUIETEST, _STILL * distance):
+    if extent > min(_LEAST_EXTENT, _STILL * distance):
         return [], []
     evidence = (
         f"its positions differ by {extent:.2g} m while the tracks drive {distance:.0f} m: every receiver has "
@@ -58,10 +58,10 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
 
 
-def _followed(drive: Drive, distance: float) -> float:
+def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
     """Distance of fixes in another unit over that by the tracks; 0 for fixes in m, and for constant ones."""
-    speeds = np.abs(drive.x).max(axis=1) * drive.machine.tread / WINDOW
-    distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))
+    speeds = np.abs(drive.tracks_over_tread).max(axis=1) * drive.machine.tread / WINDOW
+    distances = np.abs(drive.tracks_over_tread @ np.array(((1.0, 1.0), (1.0, -1.0))))
     share, windows = max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
     ratio = float(np.nansum(drive.fix_distances)) / distance
     is_other = ratio < _LEAST_RATIO and share > _FOLLOWS and float(np.nanpercentile(speeds, 95)) < FASTEST
@@ -71,24 +71,25 @@ def _followed(drive: Drive, distance: float) -> float:
 def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
     """Distance by the tracks, m, while fixes stayed bit for bit the same, longer than a logger holds one."""
     distances = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
-    runs = equal_runs(fixes.z)
+    runs = equal_runs(fixes.centred_places)
     first, last = fixes.t[runs.first], fixes.t[runs.last]
     held = last - first > _LONGEST_HOLD
     begin, end = (np.interp(t[held], drive.grid.edges, distances) for t in (first, last))
     return float(np.sum(end - begin))
 
 
-def judge_turns(drive: Drive) -> list[Undetermined]:
+def judge_turns(drive: Drive) -> list[OpenQuestion]:
     """A gyro, or used headings, whose turns match neither the tracks nor each other.
 
     A machine that hardly turns is not judged: on clay and slopes, its tracks differ for long on straights.
     """
-    by_tracks = turns_of(USUAL_EFFICIENCY * (drive.x[:, 1] - drive.x[:, 0]))
+    left, right = drive.tracks_over_tread.T
+    by_tracks = count_turns(USUAL_EFFICIENCY * (right - left))
     turning = np.abs(drive.unbiased_turn) > _TURNING
     if by_tracks < LEAST_TURNS or turning.sum() < _LEAST_TURNING:
         return []
-    by_gyro, gyro_windows = explained_share(drive.turn, drive.x)
-    by_heading, heading_windows = explained_share(drive.heading_turn, drive.x)
+    by_gyro, gyro_windows = explained_share(drive.turn, drive.tracks_over_tread)
+    by_heading, heading_windows = explained_share(drive.heading_turn, drive.tracks_over_tread)
     both, _ = explained_share(drive.heading_turn, drive.turn[:, np.newaxis])
     gyro, compass, found = drive.gyro, drive.compass, []
     if gyro is None or gyro_windows < _LEAST_WINDOWS or (gyro.is_above and drive.log.swing is None):
@@ -99,10 +100,10 @@ def judge_turns(drive: Drive) -> list[Undetermined]:
     if compass is not None and is_shown and max(by_heading, both) < _FOLLOWS_NOT and by_gyro > _FOLLOWS:
         found.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
     needed = "look at its column as it comes, while the machine turns left and right by 90°"
-    return [Undetermined(what, needed, is_wrong=True) for what in found]
+    return [OpenQuestion(what, needed, is_wrong=True) for what in found]
 
 
-def judge_counting(drive: Drive) -> list[Undetermined]:
+def judge_counting(drive: Drive) -> list[OpenQuestion]:
     """Tracks that never count backwards, while the machine turns by more than their difference.
 
     Only tracks that run against each other turn a machine like that.
@@ -112,7 +113,8 @@ def judge_counting(drive: Drive) -> list[Undetermined]:
     is_hidden = drive.gyro is not None and drive.gyro.is_above and drive.log.swing is None
     if is_hidden or not len(counted) or float(counted.min()) < -_ROUNDING:
         return []
-    apart, both = np.pad(np.abs(drive.x[:, 1] - drive.x[:, 0]), 1), drive.x.sum(axis=1)
+    left, right = drive.tracks_over_tread.T
+    apart, both = np.pad(np.abs(right - left), 1), left + right
     apart = np.maximum(np.maximum(apart[:-2], apart[2:]), apart[1:-1])  # or in the next window, if delayed
     on_the_spot = (turn > 2.0 * _TURNING) & (turn > 2.0 * MOST_TURN * apart) & (turn < MOST_TURN * both)
     if on_the_spot.sum() < _LEAST_TURNING:
@@ -121,4 +123,4 @@ def judge_counting(drive: Drive) -> list[Undetermined]:
         f"machine that turns by {np.degrees(turn[on_the_spot].sum()):.0f}° while both tracks count forward "
         "by the same: encoders without a direction"
     )
-    return [Undetermined(what, "turn on the spot: one track must count backwards", is_wrong=True)]
+    return [OpenQuestion(what, "turn on the spot: one track must count backwards", is_wrong=True)]

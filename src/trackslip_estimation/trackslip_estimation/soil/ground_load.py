@@ -132,7 +132,7 @@ def new_bucket_load(vehicle: Vehicle) -> Table[BucketLoad]:
 
 @compiled
 def update_bucket_load(bucket_load: BucketLoad, sample: Sample, p: LoadParameters) -> None:
-    """Update whether the bucket load is unknown: it may change only at a standstill of ``filling_time`` or longer."""
+    """Update whether the bucket load may differ: it changes at a standstill of ``filling_time`` or longer."""
     if sample.motion == _STRAIGHT or sample.motion == _TURNING:
         bucket_load.has_driven = 1
     bucket_load.stood = bucket_load.stood + sample.dt if sample.motion == _STANDING else 0.0

@@ -111,7 +111,7 @@ class LoopState(NamedTuple):
     """Data of the loop, of constant size."""
 
     known: Table[EstimatorState]  # (1,)
-    faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and Unused
+    faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and UnusedReason
     interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
     limit_probabilities: FloatArray  # (l,) of the newest soil state

@@ -47,7 +47,7 @@ class StrengthGrid:
         return np.asarray(self._spread_moduli.T @ cells @ self._spread_limits)
 
     def expectation(self, along_moduli: FloatArray, along_limits: FloatArray) -> FloatArray:
-        """Return for each cell (moduli, limits) the mean product of the factors, convolved as by ``add_errors``."""
+        """Return the mean product of the factors for each cell (moduli, limits), as by ``add_errors``."""
         return np.outer(self._spread_moduli @ along_moduli, self._spread_limits @ along_limits)
 
 

@@ -5,7 +5,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from trackslip_estimation.setup_check.finding import Measured, Result
+from trackslip_estimation.setup_check.finding import MeasuredValue, Result
 from trackslip_tools.calibration.finding import Finding, found, refused
 
 _TURNS = ("turning_efficiency", "effective_tread", "asymmetry")
@@ -45,14 +45,14 @@ def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> d
 
 def measured(setups: Sequence[Result]) -> dict[str, Finding]:
     """Lever arms, yaw offsets and delays by source, combined over all bags."""
-    groups: dict[str, list[Measured]] = {}
+    groups: dict[str, list[MeasuredValue]] = {}
     for setup in setups:
         for one in setup.measured:
             groups.setdefault(f"{one.name} of {one.source}", []).append(one)
     return {name: _together(own) for name, own in groups.items()}
 
 
-def _together(own: Sequence[Measured]) -> Finding:
+def _together(own: Sequence[MeasuredValue]) -> Finding:
     weights = [1.0 / max(one.half_width, 1e-9) ** 2 for one in own]
     total = sum(weights)
     value = sum(w * one.value for w, one in zip(weights, own, strict=True)) / total

@@ -9,12 +9,12 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
-from trackslip_estimation.setup_check.finding import Result, Undetermined, odds_text
+from trackslip_estimation.setup_check.finding import OpenQuestion, Result, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.terminal_text import table, wrapped
 
-NO_SPROCKETS = Undetermined("everything: there are no sprockets", "record the topic sprockets")
+NO_SPROCKETS = OpenQuestion("everything: there are no sprockets", "record the topic sprockets")
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
 
