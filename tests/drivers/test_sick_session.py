@@ -147,7 +147,7 @@ def test_scans_read_after_a_host_stall_are_stamped_at_their_measurement(baud: in
         np.testing.assert_allclose(scan.sample.ranges, room(stamp_ns), atol=1e-9)
     assert bench.now_ns - bench.scans[-1].sample.stamp_ns < 2 * S
     assert bench.count(SessionFault.SILENT) == 0
-    assert bench.session.tally.total["scan", StampEvent.WAITED.value] > 0
+    assert bench.session.tally.total["scan", StampEvent.DELAYED.value] > 0
 
 
 @pytest.mark.parametrize("boot_delay", [0.0, 15.0])

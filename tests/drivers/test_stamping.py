@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_drivers.stamping import HostTime, InOrder, Look, PeriodicStamps
+from trackslip_drivers.stamping import HostTime, MonotonicStamps, PeriodicStamps, ReadMonitor
 from trackslip_drivers.transports.host_clock import HostClock
 
 MS = 1_000_000
@@ -93,19 +93,19 @@ class Clocks:
         self.steady_ns = 5 * S
         self.offset_ns = 1_700_000_000 * S
         self.time = HostTime(self.offset_ns, self.steady_ns)
-        self.order = InOrder()
+        self.order = MonotonicStamps()
         self.stamps = []
 
     def run(self, seconds, slew=0.0):
         for _ in range(round(seconds * 100)):
             self.steady_ns += PERIOD
             self.offset_ns += round(slew * PERIOD)
-            self.time.look(self.steady_ns + self.offset_ns, self.steady_ns)
-            arrival = self.time.steady(
+            self.time.update_offset(self.steady_ns + self.offset_ns, self.steady_ns)
+            arrival = self.time.steady_time(
                 self.steady_ns + self.offset_ns - MS, (self.steady_ns - PERIOD, self.steady_ns)
             )
             assert arrival == self.steady_ns - MS
-            self.stamps.append(self.order.next(self.time.stamp(arrival)))
+            self.stamps.append(self.order.next_stamp(self.time.stamp(arrival)))
 
     def ahead(self):
         """Last stamp minus the host's time at that arrival, ns."""
@@ -143,9 +143,9 @@ def test_arrival_from_before_a_jump_is_stamped_now():
     for jump in (-10 * S, 20 * S):
         stale_ns = clocks.steady_ns + clocks.offset_ns - MS
         clocks.offset_ns += jump
-        clocks.time.look(clocks.steady_ns + clocks.offset_ns, clocks.steady_ns)
+        clocks.time.update_offset(clocks.steady_ns + clocks.offset_ns, clocks.steady_ns)
         between_ns = clocks.steady_ns - 5 * PERIOD, clocks.steady_ns
-        assert clocks.time.steady(stale_ns, between_ns) == clocks.steady_ns
+        assert clocks.time.steady_time(stale_ns, between_ns) == clocks.steady_ns
 
 
 def test_arrival_of_5_s_ago_keeps_its_time():
@@ -153,7 +153,7 @@ def test_arrival_of_5_s_ago_keeps_its_time():
     clocks = Clocks()
     clocks.run(10.0)
     arrived_ns, between_ns = clocks.steady_ns - 5 * S, (clocks.steady_ns - 6 * S, clocks.steady_ns)
-    assert clocks.time.steady(arrived_ns + clocks.offset_ns, between_ns) == arrived_ns
+    assert clocks.time.steady_time(arrived_ns + clocks.offset_ns, between_ns) == arrived_ns
 
 
 def test_stamp_outside_its_read_interval_is_replaced_by_now():
@@ -161,28 +161,28 @@ def test_stamp_outside_its_read_interval_is_replaced_by_now():
     clocks.run(1.0)
     drifted_ns = clocks.steady_ns + clocks.offset_ns - 900 * MS
     between_ns = clocks.steady_ns - PERIOD, clocks.steady_ns
-    assert clocks.time.steady(drifted_ns, between_ns) == clocks.steady_ns
+    assert clocks.time.steady_time(drifted_ns, between_ns) == clocks.steady_ns
 
 
 def test_data_count_as_delayed_until_a_held_up_reader_empties_the_port():
-    look = Look(0)
+    monitor = ReadMonitor(0)
     for step_ns in (10 * S, 10 * S + 90 * MS):  # duration of an opening; a wait without data
-        look.step(step_ns)
-    look.found_nothing()
-    assert look.emptied_ns == 10 * S + 90 * MS
-    assert not look.held_up
+        monitor.record_step(step_ns)
+    monitor.record_empty_port()
+    assert monitor.emptied_ns == 10 * S + 90 * MS
+    assert not monitor.held_up
     for found_ns in (12 * S, 12 * S + MS):
-        look.step(found_ns)
-        assert look.emptied_ns == 10 * S + 90 * MS
-        assert look.waited(found_ns - MS, found_ns)  # apparently new data
-        assert not look.waited(found_ns - S, found_ns)  # data with an arrival time of their own
-    look.found_nothing()
-    assert not look.waited(12 * S, 12 * S + MS)
+        monitor.record_step(found_ns)
+        assert monitor.emptied_ns == 10 * S + 90 * MS
+        assert monitor.can_be_delayed(found_ns - MS, found_ns)  # apparently new data
+        assert not monitor.can_be_delayed(found_ns - S, found_ns)  # data with an arrival time of their own
+    monitor.record_empty_port()
+    assert not monitor.can_be_delayed(12 * S, 12 * S + MS)
 
 
 def test_stamps_are_ordered_by_the_smallest_shift():
-    order = InOrder()
-    assert [order.next(stamp) for stamp in (5, 3, 6, 6, 10)] == [5, 6, 7, 8, 10]
+    order = MonotonicStamps()
+    assert [order.next_stamp(stamp) for stamp in (5, 3, 6, 6, 10)] == [5, 6, 7, 8, 10]
 
 
 def test_host_clock_sees_the_host_set_back(monkeypatch):

@@ -82,7 +82,7 @@ def test_bytes_pass_a_pty_in_both_directions(pty_port, received, start_link):
 def test_baud_is_changed_through_the_link(pty_port, start_link):
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
     wait_for(lambda: link.state().connected)
-    assert link.use(lambda port: port.set_baud(38400))
+    assert link.call_with_port(lambda port: port.set_baud(38400))
     assert pty_port.baud == 38400
 
 

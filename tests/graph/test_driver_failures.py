@@ -43,14 +43,14 @@ class FragileDriver(DriverNode[NoParameters, bytes]):
     def open_port(self):
         return self.port
 
-    def begin(self) -> None:
+    def restart_decoding(self) -> None:
         self.begun += 1
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
         if data == b"bad":
             raise ValueError("no such telegram")
         self.received.append(data)
-        self.count()
+        self.count_message()
 
 
 @pytest.fixture
@@ -83,11 +83,11 @@ def messages(driver: FragileDriver, seconds: float) -> list[str]:
 
 
 def test_reopened_silent_port_is_reported_as_silent(domain, monkeypatch):
-    monkeypatch.setattr("trackslip_drivers.nodes.driver._OPENING", 0.1)
+    monkeypatch.setattr("trackslip_drivers.nodes.driver._OPENING_TIME", 0.1)
     monkeypatch.setattr(FragileDriver, "period", 0.02)
     monkeypatch.setattr(FragileDriver, "silence", 0.4)
     with started(FragileDriver, domain) as node:
-        found, where = messages(node, 1.5), node.where()
+        found, where = messages(node, 1.5), node.link_name()
         assert node._link.state().openings > 1
     assert found[-1] == f"{where}: no bytes; check power and port"
     assert sum("no data yet" in text for text in found) == 1

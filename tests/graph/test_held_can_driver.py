@@ -36,8 +36,8 @@ class HeldDriver(CanDriverNode):
             time.sleep(0.001)
         super().receive(data, arrival_ns)
 
-    def stamped(self, sample):
-        sample = super().stamped(sample)
+    def restamp(self, sample):
+        sample = super().restamp(sample)
         if type(sample) is SprocketSample:
             self.samples.append(sample)
         return sample
@@ -91,7 +91,7 @@ def test_delayed_frames_without_a_time_are_not_stamped_as_new(driver, udp_port, 
     """An adapter without timestamps: the delay is unknown."""
     monkeypatch.setattr("trackslip_drivers.transports.can_bus._stamp_ns", lambda _: time.time_ns())
     cycles = drive(driver, udp_port)
-    assert driver.tally.total["can", StampEvent.WAITED.value] > 50
+    assert driver.tally.total["can", StampEvent.DELAYED.value] > 50
     held_ns, free_ns = (cycles[number][0] for number in HELD_CYCLES)
     stamps = [sample.stamp_ns for sample in driver.samples]
     assert any(stamp > free_ns + 500 * MS for stamp in stamps)

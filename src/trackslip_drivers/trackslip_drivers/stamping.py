@@ -27,17 +27,17 @@ _LONGEST_SILENCE_NS = 3_600_000_000_000  # of a sender whose clock is assumed to
 _SAME_READING_NS = 500_000_000  # between messages of one reading: half of the longest usual period
 
 _JUMP_NS = 20_000_000  # change of the host's clock that exceeds any slewing
-_SLEWING = 1e-3  # relative to the time between checks; ntpd and chronyd stay below
-_HELD_NS = 400_000_000  # between two steps of reading, which take no longer than 0.1 s
-_PROMPT_NS = 20_000_000  # greatest lateness of a prompt read
+_SLEW_LIMIT = 1e-3  # relative to the time between checks; ntpd and chronyd stay below
+_SUSPENSION_NS = 400_000_000  # between two steps of reading, which take no longer than 0.1 s
+_PROMPTNESS_NS = 20_000_000  # greatest lateness of a prompt read
 
 
 class StampEvent(Enum):
     """Events of a stamp or a clock."""
 
-    MOVED = "stamp shifted to keep the order"
+    SHIFTED = "stamp shifted to keep the order"
     CLOCK_JUMPED = "jumped"
-    WAITED = "delayed while the host was suspended"
+    DELAYED = "delayed while the host was suspended"
 
 
 class PeriodicStamps:
@@ -132,38 +132,38 @@ class SenderClock:
         return stamp_ns
 
 
-class Backlog:
-    """Detects reads of data that waited while the host was held up (suspended, stopped, starved).
+class BacklogDetector:
+    """Detects reads of data that are late because the host was suspended, stopped or starved.
 
     The arrival of such bytes is unknown, and one read does not return all of them. The backlog ends with a
     read of no more than the line carries since the previous read.
     """
 
     def __init__(self) -> None:
-        self._looked_ns: int | None = None
-        self._waits = False
+        self._last_read_ns: int | None = None
+        self._is_waiting = False
 
-    def includes(self, transfer_ns: int, arrival_ns: int) -> bool:
-        """Whether a read is of the backlog; ``transfer_ns``: time of its bytes on the line, 0: no bytes."""
-        since_ns = 0 if self._looked_ns is None else arrival_ns - self._looked_ns
-        self._looked_ns = arrival_ns
-        is_late = since_ns >= _HELD_NS or (self._waits and transfer_ns > since_ns + _PROMPT_NS)
-        self._waits = is_late and transfer_ns > 0
-        return self._waits
+    def is_backlog(self, transfer_ns: int, arrival_ns: int) -> bool:
+        """Whether a read is part of a backlog; ``transfer_ns``: time of its bytes on the line (0: none)."""
+        since_ns = 0 if self._last_read_ns is None else arrival_ns - self._last_read_ns
+        self._last_read_ns = arrival_ns
+        is_late = since_ns >= _SUSPENSION_NS or (self._is_waiting and transfer_ns > since_ns + _PROMPTNESS_NS)
+        self._is_waiting = is_late and transfer_ns > 0
+        return self._is_waiting
 
 
-class Look:
-    """When a port was last found empty, and whether its reader was held up since.
+class ReadMonitor:
+    """Records when a port was last empty, and whether its reader was suspended since.
 
-    Data read now arrived after ``emptied_ns``; if the reader was held up, they may have waited for long. Each
-    step of reading is registered, so a delay anywhere is detected.
+    Data read now arrived after ``emptied_ns``; if the reader was suspended, they may be late by any time.
+    Each step of reading is registered, so a delay anywhere is detected.
 
     Args:
         opening_ns: steady time before the port was opened.
 
     Attributes:
         emptied_ns: steady time at which the port was empty.
-        held_up: data read now may have waited for an unknown time, unless they have their own stamp.
+        held_up: data read now may be late by an unknown time, unless they have their own stamp.
     """
 
     def __init__(self, opening_ns: int) -> None:
@@ -171,20 +171,20 @@ class Look:
         self.held_up = False
         self._step_ns: int | None = None
 
-    def step(self, now_ns: int) -> None:
+    def record_step(self, now_ns: int) -> None:
         """Register that the port is about to be read, or has been."""
         if self._step_ns is not None:
-            self.held_up |= now_ns - self._step_ns >= _HELD_NS
+            self.held_up |= now_ns - self._step_ns >= _SUSPENSION_NS
         self._step_ns = now_ns
 
-    def found_nothing(self) -> None:
+    def record_empty_port(self) -> None:
         """Register that the port was empty at the last step."""
         if self._step_ns is not None:
             self.emptied_ns, self.held_up = self._step_ns, False
 
-    def waited(self, arrived_ns: int, now_ns: int) -> bool:
-        """Whether data that seem to have arrived at a steady time just before ``now_ns`` may have waited."""
-        return self.held_up and now_ns - arrived_ns < _PROMPT_NS
+    def can_be_delayed(self, arrived_ns: int, now_ns: int) -> bool:
+        """Whether data that seem to have arrived just before ``now_ns`` (both steady) may be late."""
+        return self.held_up and now_ns - arrived_ns < _PROMPTNESS_NS
 
 
 @dataclass
@@ -196,22 +196,22 @@ class HostTime:
     """
 
     offset_ns: int  # host's clock minus steady clock, at the last check
-    looked_ns: int  # steady time of that check
+    updated_ns: int  # steady time of that check
     lead_ns: int = 0
     jumps: int = 0
 
-    def look(self, host_ns: int, steady_ns: int) -> bool:
+    def update_offset(self, host_ns: int, steady_ns: int) -> bool:
         """Update the offset from both clocks, read together; returns whether the host's clock has jumped."""
         change_ns = host_ns - steady_ns - self.offset_ns
-        jumped = abs(change_ns) > _JUMP_NS + _SLEWING * (steady_ns - self.looked_ns)
+        jumped = abs(change_ns) > _JUMP_NS + _SLEW_LIMIT * (steady_ns - self.updated_ns)
         self.offset_ns += change_ns
-        self.looked_ns = steady_ns
+        self.updated_ns = steady_ns
         if jumped:
             self.jumps += 1
             self.lead_ns = max(0, self.lead_ns - change_ns)
         return jumped
 
-    def steady(self, host_ns: int, between_ns: tuple[int, int]) -> int:
+    def steady_time(self, host_ns: int, between_ns: tuple[int, int]) -> int:
         """Steady time of an arrival, stamped by the host's clock between two steady times.
 
         A stamp before the first of them is from before a change of the clock, or from another clock: the
@@ -226,13 +226,13 @@ class HostTime:
         return steady_ns + self.offset_ns + self.lead_ns
 
 
-class InOrder:
+class MonotonicStamps:
     """Makes the stamps of one topic strictly increasing."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
 
-    def next(self, stamp_ns: int) -> int:
+    def next_stamp(self, stamp_ns: int) -> int:
         """The stamp, or the earliest one after the last."""
         if self._last_ns is not None:
             stamp_ns = max(stamp_ns, self._last_ns + 1)

@@ -31,7 +31,7 @@ _MESSAGES = {
 class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
     """Receives frames; publishes those of ``sprockets``, ``hydraulics`` and ``swing`` that have roles."""
 
-    carries, advice = "frames", "check power, wiring and bitrate"
+    data_name, advice = "frames", "check power, wiring and bitrate"
     period = 0.01
     silence = 2.0
     realtime_priority = 10  # a message takes 0.5 ms, and odometry starts with it
@@ -55,7 +55,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             topic, blank, fill = _MESSAGES[kind]
             self._outputs[kind] = (self.advertise_packed(topic, blank(make, frame_id)), fill)
 
-    def where(self) -> str:
+    def link_name(self) -> str:
         """The bus, for messages."""
         return f"CAN on {self.settings.can_channel}"
 
@@ -63,7 +63,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         """Open the bus."""
         return CanBus(self.settings.can_interface, self.settings.can_channel, self._options)
 
-    def begin(self) -> None:
+    def restart_decoding(self) -> None:
         """After opening: continue positions over the time without a bus, and start CANopen nodes."""
         self._can.resume()
         if self.settings.canopen_start and self._link is not None:
@@ -77,19 +77,19 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:
             self._bus_state = BusState.ACTIVE  # restarted without an error frame
-        arrived_ns = self.arrived(arrival_ns)
-        if self.waited(arrived_ns):
-            self.tally.add(BUS, StampEvent.WAITED)
+        arrived_ns = self.arrival_time(arrival_ns)
+        if self.can_be_delayed(arrived_ns):
+            self.tally.add(BUS, StampEvent.DELAYED)
             return
         sample: Any
         for sample in self._can.receive(*data, arrived_ns):
             output, fill = self._outputs[type(sample)]
-            fill(output.message, self.stamped(sample))
+            fill(output.message, self.restamp(sample))
             output.publish()
             if type(sample) is self._can.main_kind:
-                self.count()
+                self.count_message()
 
-    def lack(self) -> str:
+    def unusable_data_message(self) -> str:
         """Reason why no received frame has a role; empty if unknown."""
         return self._can.decoder.hint()
 

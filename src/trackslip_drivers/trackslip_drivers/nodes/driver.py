@@ -25,7 +25,7 @@ from trackslip_drivers.records import (
     SwingSample,
     VelocitySample,
 )
-from trackslip_drivers.stamping import InOrder, StampEvent
+from trackslip_drivers.stamping import MonotonicStamps, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
 
@@ -44,12 +44,12 @@ S = TypeVar(
 )
 
 _STALE_PERIODS = 10
-_LOOK = 0.1  # s between checks for a change of the link's condition
-_OPENING = 2.0  # s after opening in which a port need not deliver
-RECENT = 5.0  # s for which a rejection is reported
-_PAUSE = 5.0  # s without data, after which ``lack`` is not reported
-_SETTLING = 1.0  # s beyond the limit in which unusable data are only a warning
-_RATE_OVER = 0.5  # s, shortest interval of a measured rate
+_CHECK_PERIOD = 0.1  # s between checks for a change of the link's condition
+_OPENING_TIME = 2.0  # s after opening in which a port need not deliver
+REPORT_TIME = 5.0  # s for which a rejection is reported
+_SILENCE_LIMIT = 5.0  # s without data, after which ``unusable_data_message`` is not reported
+_SETTLING_TIME = 1.0  # s beyond the limit in which unusable data are only a warning
+_RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
 
 
@@ -59,15 +59,18 @@ def _date(seconds: float) -> str:
 
 
 class DriverNode(TrackslipNode[P], Generic[P, D]):
-    """Opens its link while active; subclasses override ``open_port``, ``begin``, ``receive``, ``on_silence``.
+    """Opens its link while active.
 
+    Subclasses override ``open_port``, ``restart_decoding``, ``receive`` and ``on_silence``.
     Health reports whether data arrive, their rate and rejections: at 1 Hz, and when data begin or cease.
     """
 
     device = "sensor"  # name for users
-    carries = "bytes"
+    data_name = "bytes"
     advice = "check power and port"  # if no data arrive
-    passing: Mapping[str, str] = MappingProxyType({})  # reasons that are no fault of the link → remedy
+    transient_reasons: Mapping[str, str] = MappingProxyType(
+        {}
+    )  # reasons that are no fault of the link → remedy
     period = 1.0  # s between messages in normal operation
     silence = math.inf  # s without a byte or frame after which the port is reopened
 
@@ -75,12 +78,14 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Reset the counters, and start the check of the link's condition."""
         self._published = 0
         self._rate = 0.0
-        self._looked_at = (time.monotonic(), 0)
+        self._rate_start = (time.monotonic(), 0)
         self._last_s = -math.inf
         self._link: Link[D] | None = None
         self._reported: bytes | None = None  # level
         self._rejected = ("", -math.inf, "")  # most frequent reason, its time (steady, s) and date
-        self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(
+            _CHECK_PERIOD, self._publish_health_on_change, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def hardware(self) -> str:
         """The serial port; without one, the node's name."""
@@ -90,7 +95,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Open the port to the sensor, or raise; runs in the link's thread, as the next three methods do."""
         raise NotImplementedError
 
-    def begin(self) -> None:
+    def restart_decoding(self) -> None:
         """Drop half-received data, after a port was opened or decoding failed."""
 
     def receive(self, data: D, arrival_ns: int) -> None:
@@ -103,10 +108,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     def activate(self) -> None:
         """Set the clocks, and open the link."""
         self._host = HostClock()
-        self._order: defaultdict[type, InOrder] = defaultdict(InOrder)
+        self._order: defaultdict[type, MonotonicStamps] = defaultdict(MonotonicStamps)
         guard = self.callback_failures.guard
-        receive = guard(self.receive, "received data", handles_data=True, recover=self.begin)
-        handlers = Handlers(receive, self.begin, guard(self.on_silence, "silence"))
+        receive = guard(self.receive, "received data", handles_data=True, recover=self.restart_decoding)
+        handlers = Handlers(receive, self.restart_decoding, guard(self.on_silence, "silence"))
         self._link = Link(self.get_name(), self.open_port, handlers, self.silence)
         self._link.start()
 
@@ -115,28 +120,28 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if self._link is not None:
             self._link.stop()
 
-    def arrived(self, host_ns: int) -> int:
-        """Steady time of data that a port received at ``host_ns``; counts jumps of the host's clock."""
+    def arrival_time(self, host_ns: int) -> int:
+        """Steady time at which a port received data, from ``host_ns``; counts jumps of the host's clock."""
         assert self._link is not None
-        steady_ns, has_jumped = self._host.arrival(host_ns, self._link.look.emptied_ns)
+        steady_ns, has_jumped = self._host.arrival(host_ns, self._link.read_monitor.emptied_ns)
         if has_jumped:
             self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
         return steady_ns
 
-    def waited(self, steady_ns: int) -> bool:
-        """Whether data that seem to have arrived just now may have waited while the host was suspended."""
+    def can_be_delayed(self, steady_ns: int) -> bool:
+        """Whether data that seem to have arrived just now may be delayed, as the host was suspended."""
         assert self._link is not None
-        return self._link.look.waited(steady_ns, time.monotonic_ns())
+        return self._link.read_monitor.can_be_delayed(steady_ns, time.monotonic_ns())
 
-    def stamped(self, sample: S) -> S:
-        """The sample with the stamp to publish: on the host's clock, later than the previous one."""
+    def restamp(self, sample: S) -> S:
+        """Stamp a sample for publishing: on the host's clock, later than the previous one."""
         host_ns = self._host.stamp(sample.stamp_ns)
-        stamp_ns = self._order[type(sample)].next(host_ns)
+        stamp_ns = self._order[type(sample)].next_stamp(host_ns)
         if stamp_ns != host_ns:
-            self.tally.add(type(sample).__name__, StampEvent.MOVED)
+            self.tally.add(type(sample).__name__, StampEvent.SHIFTED)
         return sample._replace(stamp_ns=stamp_ns)
 
-    def count(self) -> None:
+    def count_message(self) -> None:
         """Count a published message."""
         self._published += 1
         self._last_s = time.monotonic()
@@ -148,10 +153,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if news := self.tally.since_last_look():
             often = max(news, key=lambda key: news[key])  # the latest would change at each report
             self._rejected = (self.tally.words(often), now_s, _date(time.time()))
-        then_s, then = self._looked_at
-        if now_s - then_s >= _RATE_OVER:
+        then_s, then = self._rate_start
+        if now_s - then_s >= _RATE_INTERVAL:
             self._rate = (self._published - then) / (now_s - then_s)
-            self._looked_at = (now_s, self._published)
+            self._rate_start = (now_s, self._published)
         values: dict[str, object] = {
             "published": self._published,
             "rate (Hz)": f"{self._rate:.1f}",
@@ -170,21 +175,21 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         self._reported = level
         return [Health(level, message, values)]
 
-    def where(self) -> str:
+    def link_name(self) -> str:
         """Device and port, for messages."""
         return f"{self.device} on {self.hardware()}"
 
-    def talk(self) -> str:
+    def dialogue_state(self) -> str:
         """State of the dialogue with the device while no data come; empty without a dialogue."""
         return ""
 
-    def lack(self) -> str:
+    def unusable_data_message(self) -> str:
         """Message about valid data that cannot be used, with the remedy; empty if there are none."""
         return ""
 
     def _condition(self, link: Link[D]) -> tuple[bytes, str]:
         """(level, message): whether data arrive, or the reason and remedy; without numbers that change."""
-        state, where = link.state(), self.where()
+        state, where = link.state(), self.link_name()
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
         if not state.connected and not state.was_silent:
@@ -192,24 +197,24 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         limit_s = _STALE_PERIODS * self.period
         if time.monotonic() - self._last_s <= limit_s:
             latest, then_s, _ = self._rejected
-            is_recent = time.monotonic() - then_s < RECENT
+            is_recent = time.monotonic() - then_s < REPORT_TIME
             return (WARN, f"running; some is rejected: {latest}") if is_recent else (OK, "running")
-        if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING:
+        if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING_TIME:
             return WARN, f"{where}: opened, no data yet"
-        talk = f" ({self.talk()})" if self.talk() else ""
-        if state.silent_s < _PAUSE and (lack := self.lack()):
-            return ERROR, f"{where}: {lack}"
+        dialogue = f" ({self.dialogue_state()})" if self.dialogue_state() else ""
+        if state.silent_s < _SILENCE_LIMIT and (problem := self.unusable_data_message()):
+            return ERROR, f"{where}: {problem}"
         if state.silent_s > 0.5 * limit_s or not state.has_received:
-            return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
+            return STALE, f"{where}: no {self.data_name}{dialogue}; {self.advice}"
         reason = self._rejected[0] or "no complete message yet"
-        if reason in self.passing:
-            return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"
-        what = f"{where}: {self.carries} arrive, but none is usable: {reason}{talk}"
-        if time.monotonic() - self._last_s < limit_s + _SETTLING:
+        if reason in self.transient_reasons:
+            return WARN, f"{where}: {reason}{dialogue}; {self.transient_reasons[reason]}"
+        what = f"{where}: {self.data_name} arrive, but none is usable: {reason}{dialogue}"
+        if time.monotonic() - self._last_s < limit_s + _SETTLING_TIME:
             return WARN, what
         return ERROR, f"{what}; check rate and format"
 
-    def _look(self) -> None:
+    def _publish_health_on_change(self) -> None:
         """Publish health at once if its level has changed."""
         if self.active and self._link is not None and self._reported != self._condition(self._link)[0]:
             self.publish_health()

@@ -27,7 +27,7 @@ from trackslip_drivers.protocols.nmea_stream import (
     Sample,
 )
 from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
-from trackslip_drivers.transports.ntrip import MOST_RATE, STALL_S, NtripClient, read_credentials
+from trackslip_drivers.transports.ntrip import MAX_RATE, STALL_S, NtripClient, read_credentials
 from trackslip_drivers.transports.serial_port import SerialPort
 
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
@@ -37,7 +37,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
     """Receives bytes; publishes ``fix``, ``fix_velocity`` and ``heading``."""
 
     device = "GNSS receiver"
-    passing = MappingProxyType({"no fix": "check that the antenna sees the sky"})
+    transient_reasons = MappingProxyType({"no fix": "check that the antenna sees the sky"})
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         self._fixes = self.advertise(topic_class(FIX), FIX)
         self._headings = self.advertise(topic_class(HEADING), HEADING)
         self._velocities = self.advertise(topic_class(VELOCITY), VELOCITY)
-        self._stream = self._new_stream()
+        self._stream = self._make_stream()
         self._position: bytes | None = None  # GGA sentence, for a caster
         file = self.settings.ntrip.credentials_file
         self._credentials = read_credentials(Path(file)) if self.settings.ntrip.host and file else None
@@ -61,11 +61,9 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         super().activate()
         p = self.settings
         if p.ntrip.host:
-            most_rate = (
-                MOST_RATE if "://" in p.serial_port else min(p.serial_baud // BITS_PER_CHAR, MOST_RATE)
-            )
+            max_rate = MAX_RATE if "://" in p.serial_port else min(p.serial_baud // BITS_PER_CHAR, MAX_RATE)
             self._caster = NtripClient(
-                p.ntrip, self._credentials, most_rate, self._pass_on, lambda: self._position
+                p.ntrip, self._credentials, max_rate, self._send_correction, lambda: self._position
             )
             self._caster.start()
 
@@ -76,7 +74,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
             self._caster = None
         super().deactivate()
 
-    def _pass_on(self, message: bytes) -> None:
+    def _send_correction(self, message: bytes) -> None:
         """Send a correction to the receiver."""
         if self._link is not None:
             self._link.write(message)
@@ -85,13 +83,13 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         """Open the serial port or socket."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
-    def begin(self) -> None:
+    def restart_decoding(self) -> None:
         """Drop half-received messages."""
         self._stream.reset()
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
         """Decode received bytes, and publish."""
-        self._publish(self._stream.feed(data, self.arrived(arrival_ns)))
+        self._publish(self._stream.feed(data, self.arrival_time(arrival_ns)))
 
     def on_silence(self) -> None:
         """Publish a fix that waits for further sentences."""
@@ -123,34 +121,34 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         message = f"{where}: {fault}; the receiver goes on without corrections"
         return [Health(WARN, message, values, part="corrections")]
 
-    def lack(self) -> str:
+    def unusable_data_message(self) -> str:
         """Message if valid sentences come, but none with a position."""
         kinds = self._stream.kinds
         if not kinds or POSITIONS & set(kinds):
             return ""
         return f"whole messages come ({', '.join(kinds)}), but no GGA, GNS or NAV-PVT; {NO_POSITION}"
 
-    def _new_stream(self) -> NmeaStream:
+    def _make_stream(self) -> NmeaStream:
         utc = (lambda steady_ns: self._host.stamp(steady_ns)) if self.settings.host_clock_is_utc else None
         return NmeaStream(self.settings, self.tally, utc)
 
     def _publish(self, samples: Iterable[Sample]) -> None:
         for decoded in samples:
             if isinstance(decoded, FixSample):
-                fix = self.stamped(decoded)
+                fix = self.restamp(decoded)
                 self._fixes.publish(conversions.nav_sat_fix(make, fix, self.settings.frame_id))
                 if self._caster is not None:
-                    self._position = _gga_of(fix)
-                self.count()
+                    self._position = _gga_sentence(fix)
+                self.count_message()
             elif isinstance(decoded, VelocitySample):
-                velocity = self.stamped(decoded)
+                velocity = self.restamp(decoded)
                 self._velocities.publish(conversions.velocity(make, velocity, self.settings.frame_id))
             else:
-                heading = self.stamped(decoded)
+                heading = self.restamp(decoded)
                 self._headings.publish(conversions.heading(make, heading, self.settings.heading_frame_id))
 
 
-def _gga_of(fix: FixSample) -> bytes:
+def _gga_sentence(fix: FixSample) -> bytes:
     """GGA sentence of a fix, for a caster."""
     altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
     return gga(Position(time.time_ns(), fix.latitude, fix.longitude, altitude, _QUALITY[fix.status]))

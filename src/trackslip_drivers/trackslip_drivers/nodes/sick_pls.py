@@ -18,9 +18,9 @@ from trackslip_drivers.protocols.sick_session import Phase, SickSession, scan_pe
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.transports.serial_port import SerialPort
 
-_STEP = 0.01  # s between steps of the dialogue
-_WATCH = 0.1  # s between steps while scans come, which only detect a silent scanner
-_STOP = 0.3  # s for the scanner to stop streaming
+_DIALOGUE_STEP = 0.01  # s between steps of the dialogue
+_STREAMING_STEP = 0.1  # s between steps while scans come, which only detect a silent scanner
+_STOP_TIMEOUT = 0.3  # s for the scanner to stop streaming
 
 
 class SickNode(DriverNode[SickParameters, bytes]):
@@ -48,19 +48,19 @@ class SickNode(DriverNode[SickParameters, bytes]):
         """Open the link, and run the dialogue in a thread: an rclpy timer costs ten times as much."""
         super().activate()
         self._ending = threading.Event()
-        talk = self.callback_failures.guard(self._talk, "dialogue", recover=self.begin)
-        self._talker = threading.Thread(target=self._keep_talking, args=(talk,), daemon=True)
-        self._talker.start()
+        step = self.callback_failures.guard(self._step_dialogue, "dialogue", recover=self.restart_decoding)
+        self._dialogue_thread = threading.Thread(target=self._run_dialogue, args=(step,), daemon=True)
+        self._dialogue_thread.start()
 
     def deactivate(self) -> None:
         """Stop the scanner's stream, then close the port."""
         self._ending.set()
-        self._talker.join()
+        self._dialogue_thread.join()
         self._session.stop()
-        give_up_s = time.monotonic() + _STOP
-        while self._session.phase is not Phase.STOPPED and time.monotonic() < give_up_s:
-            self._talk()
-            time.sleep(_STEP)
+        deadline_s = time.monotonic() + _STOP_TIMEOUT
+        while self._session.phase is not Phase.STOPPED and time.monotonic() < deadline_s:
+            self._step_dialogue()
+            time.sleep(_DIALOGUE_STEP)
         super().deactivate()
 
     def health(self) -> list[Health]:
@@ -75,7 +75,7 @@ class SickNode(DriverNode[SickParameters, bytes]):
             entries.append(Health(WARN, refused, part="rate"))
         return entries + self._status_health()
 
-    def talk(self) -> str:
+    def dialogue_state(self) -> str:
         """The phase of the dialogue."""
         return "" if self._session.phase is Phase.STREAMING else self._session.phase.value
 
@@ -93,17 +93,19 @@ class SickNode(DriverNode[SickParameters, bytes]):
             entries.append(Health(WARN, "front window is dirty", part="pollution"))
         return entries
 
-    def begin(self) -> None:
+    def restart_decoding(self) -> None:
         """Restart the dialogue, after a port was opened."""
         with self._lock:
             self._session = SickSession(self.settings, self.tally)
             self._scan_status = DeviceStatus.from_byte(0)
 
-    def _keep_talking(self, talk: Callable[[], None]) -> None:
-        while not self._ending.wait(_WATCH if self._session.phase is Phase.STREAMING else _STEP):
-            talk()
+    def _run_dialogue(self, step: Callable[[], None]) -> None:
+        while not self._ending.wait(
+            _STREAMING_STEP if self._session.phase is Phase.STREAMING else _DIALOGUE_STEP
+        ):
+            step()
 
-    def _talk(self) -> None:
+    def _step_dialogue(self) -> None:
         """Step the session, and carry out its action on the port."""
         now_ns = time.monotonic_ns()
         with self._lock:
@@ -114,13 +116,13 @@ class SickNode(DriverNode[SickParameters, bytes]):
             return
         if action.baud is not None:
             baud = action.baud
-            link.use(lambda port: port.set_baud(baud))
+            link.call_with_port(lambda port: port.set_baud(baud))
         if action.write:
             link.write(action.write)
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
         """Decode received bytes, and publish."""
-        self._receive(data, self.arrived(arrival_ns))
+        self._receive(data, self.arrival_time(arrival_ns))
 
     def on_silence(self) -> None:
         """Let the session discard a truncated telegram."""
@@ -132,9 +134,9 @@ class SickNode(DriverNode[SickParameters, bytes]):
         for scan in scans:
             self._scan_status = scan.status
             self._scans.publish(
-                conversions.laser_scan(make, self.stamped(scan.sample), self.settings.frame_id)
+                conversions.laser_scan(make, self.restamp(scan.sample), self.settings.frame_id)
             )
-            self.count()
+            self.count_message()
 
 
 def main() -> None:

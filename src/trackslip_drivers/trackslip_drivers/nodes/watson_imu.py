@@ -10,7 +10,7 @@ from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.nodes.driver import RECENT, DriverNode
+from trackslip_drivers.nodes.driver import REPORT_TIME, DriverNode
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.transports.serial_port import SerialPort
@@ -52,17 +52,17 @@ class WatsonNode(DriverNode[WatsonParameters, bytes]):
         entries[0].values["over range"] = total
         if total > self._over_range_reported:
             self._over_range_reported, self._over_range_s = total, time.monotonic()
-        if time.monotonic() - self._over_range_s < RECENT:
+        if time.monotonic() - self._over_range_s < REPORT_TIME:
             entries.append(Health(WARN, "moved or turned faster than it can measure", part="range"))
         return entries
 
-    def begin(self) -> None:
+    def restart_decoding(self) -> None:
         """Drop a half-received line."""
         self._stream.reset()
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
         """Decode received bytes, and publish."""
-        self._receive(data, self.arrived(arrival_ns))
+        self._receive(data, self.arrival_time(arrival_ns))
 
     def on_silence(self) -> None:
         """Pass the empty read to the stream, which then counts only the host's own pauses."""
@@ -70,13 +70,13 @@ class WatsonNode(DriverNode[WatsonParameters, bytes]):
 
     def _receive(self, data: bytes, steady_ns: int) -> None:
         for decoded in self._stream.feed(data, steady_ns):
-            sample = self.stamped(decoded)
+            sample = self.restamp(decoded)
             self._over_range += sample.over_range
             conversions.fill_imu(self._imu.message, sample)
             self._imu.publish()
             if conversions.fill_magnetic_field(self._mag.message, sample) is not None:
                 self._mag.publish()
-            self.count()
+            self.count_message()
 
 
 def main() -> None:

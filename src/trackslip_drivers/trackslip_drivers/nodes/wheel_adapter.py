@@ -36,12 +36,12 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
     def health(self) -> list[Health]:
         """Counts of messages received and published, and of rejections by reason."""
         (received, published), self._news = self._news, (self._received, self._published)
-        refused = {f"{source}: {why}": n for (source, why), n in sorted(self.tally.total.items())}
-        values = {"received": self._received, "published": self._published, **refused}
+        rejected = {f"{source}: {why}": n for (source, why), n in sorted(self.tally.total.items())}
+        values = {"received": self._received, "published": self._published, **rejected}
         if self._received == received:
             return [Health(WARN, f"nothing on {self.settings.topic}", values)]
         if self._published == published:
-            return [Health(WARN, "all refused", values)]
+            return [Health(WARN, "all rejected", values)]
         return [Health(OK, "running", values)]
 
     def _on_message(self, message: Any) -> None:

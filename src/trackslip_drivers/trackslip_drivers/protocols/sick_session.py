@@ -45,7 +45,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     frame,
 )
 from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.stamping import Backlog, PeriodicStamps, StampEvent
+from trackslip_drivers.stamping import BacklogDetector, PeriodicStamps, StampEvent
 
 T = TypeVar("T")
 Script = Generator[None, None, T]  # resumed by each step; returns its result
@@ -113,7 +113,7 @@ class SickSession:
         self.baud = parameters.serial_baud
         self._parameters = parameters
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
-        self._backlog = Backlog()
+        self._backlog = BacklogDetector()
         self._starts: PeriodicStamps | None = None
         self._requested_baud = parameters.serial_baud  # or lower, if the scanner refuses it
         self._refusals = 0  # consecutive, of that rate
@@ -129,8 +129,8 @@ class SickSession:
         """The scans completed by one read (which may be empty) at ``arrival_ns``."""
         if data:
             self._last_byte_ns = arrival_ns
-        if self._backlog.includes(self._transfer_ns(len(data)), arrival_ns):
-            self.tally.add(_SOURCE, StampEvent.WAITED, len(data))
+        if self._backlog.is_backlog(self._transfer_ns(len(data)), arrival_ns):
+            self.tally.add(_SOURCE, StampEvent.DELAYED, len(data))
             self._parser.cut()
             self._last_scan_ns = arrival_ns  # the host was held up, the scanner was not silent
             return []

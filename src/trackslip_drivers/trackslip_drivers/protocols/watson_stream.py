@@ -16,7 +16,7 @@ from trackslip_drivers.protocols.watson import (
     wrong_count,
 )
 from trackslip_drivers.records import ImuSample
-from trackslip_drivers.stamping import Backlog, PeriodicStamps, StampEvent
+from trackslip_drivers.stamping import BacklogDetector, PeriodicStamps, StampEvent
 
 IMU = "imu/data_raw"
 FIELD = "imu/mag"
@@ -59,8 +59,8 @@ class WatsonStream:
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
         """The samples completed by one read (which may be empty); its last byte arrived by ``arrival_ns``."""
-        if self._backlog.includes(self._lines.transfer_ns(len(data)), arrival_ns):
-            self.tally.add(IMU, StampEvent.WAITED, len(data))
+        if self._backlog.is_backlog(self._lines.transfer_ns(len(data)), arrival_ns):
+            self.tally.add(IMU, StampEvent.DELAYED, len(data))
             self._lines.reset()
             return []
         decoded = [self._finish(line) for line in self._lines.feed(data, arrival_ns)]
@@ -68,7 +68,7 @@ class WatsonStream:
 
     def reset(self) -> None:
         """Drop an incomplete line, and restart the stamps: the port was reopened."""
-        self._backlog = Backlog()
+        self._backlog = BacklogDetector()
         self._lines.reset()
         self._stamps.restart()
 

@@ -42,7 +42,7 @@ class CanBus:
         self._bus = can.Bus(channel=channel, interface=interface, **options)
         if interface == "udp_multicast":
             try:
-                _keep_on_host(self._bus.fileno(), channel)
+                _bind_to_loopback(self._bus.fileno(), channel)
             except BaseException:
                 self._bus.shutdown()
                 raise
@@ -88,7 +88,7 @@ class CanBus:
         self._bus.shutdown()
 
 
-def _keep_on_host(descriptor: int, group: str) -> None:
+def _bind_to_loopback(descriptor: int, group: str) -> None:
     """Bind the socket to the loopback device: no host of the network can send frames of the machine."""
     with socket.socket(fileno=os.dup(descriptor)) as shared:
         home = socket.inet_aton("127.0.0.1")

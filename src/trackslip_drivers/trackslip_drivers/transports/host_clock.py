@@ -7,7 +7,7 @@ import time
 
 from trackslip_drivers.stamping import HostTime
 
-_TOGETHER_NS = 1_000_000  # readings further apart were interrupted, and are not used
+_LONGEST_READING_NS = 1_000_000  # readings further apart were interrupted, and are not used
 
 
 class HostClock:
@@ -32,10 +32,10 @@ class HostClock:
         has_jumped = False
         with self._lock:
             before_ns, now_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-            if after_ns - before_ns <= _TOGETHER_NS and before_ns >= self._time.looked_ns:
-                has_jumped = self._time.look(now_ns, before_ns)
+            if after_ns - before_ns <= _LONGEST_READING_NS and before_ns >= self._time.updated_ns:
+                has_jumped = self._time.update_offset(now_ns, before_ns)
                 after_ns = before_ns
-            return self._time.steady(host_ns, (emptied_ns, after_ns)), has_jumped
+            return self._time.steady_time(host_ns, (emptied_ns, after_ns)), has_jumped
 
     def stamp(self, steady_ns: int) -> int:
         """Time on the host's clock, for a message."""

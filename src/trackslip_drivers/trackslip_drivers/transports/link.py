@@ -14,14 +14,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from trackslip_drivers.stamping import Look
+from trackslip_drivers.stamping import ReadMonitor
 
 T = TypeVar("T")
 
 READ_TIMEOUT_S = 0.1  # longest wait of a read; limits the delay of ``stop``
 FIRST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 0.5  # a sensor that returns is read again within a second
-_STOP_S = 0.4
+_STOP_TIMEOUT_S = 0.4
 
 
 class Port(Protocol[T]):
@@ -84,7 +84,7 @@ class Link(Generic[T]):
             no error; infinite: never.
 
     Attributes:
-        look: how long data may have waited in the port; for the link's own thread.
+        read_monitor: detects delays of data in the port; for the link's own thread.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Link(Generic[T]):
         self._open_port = open_port
         self._handlers = handlers
         self._silence_s = silence_s
-        self.look = Look(time.monotonic_ns())
+        self.read_monitor = ReadMonitor(time.monotonic_ns())
         self._lock = threading.Lock()  # guards the attributes below
         self._port: Port[T] | None = None
         self._changed_s = time.monotonic()
@@ -120,13 +120,13 @@ class Link(Generic[T]):
         """End the thread and close the port; returns within half a second even if an opening hangs."""
         self._stopping.set()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(_STOP_S)
+            self._thread.join(_STOP_TIMEOUT_S)
 
     def write(self, data: T) -> bool:
         """Send, from any thread; False if there is no port or it failed."""
-        return self.use(lambda port: port.write(data))
+        return self.call_with_port(lambda port: port.write(data))
 
-    def use(self, action: Callable[[Any], None]) -> bool:
+    def call_with_port(self, action: Callable[[Any], None]) -> bool:
         """Call ``action`` with the open port, from any thread; False if there is none or it failed.
 
         A failure is counted. A port that is gone also fails in the loop, which opens it again.
@@ -164,12 +164,12 @@ class Link(Generic[T]):
         while not self._stopping.is_set():
             received = False
             try:
-                self.look = Look(time.monotonic_ns())
+                self.read_monitor = ReadMonitor(time.monotonic_ns())
                 port = self._open_port()
                 try:
                     self._set_port(port)
                     self._handlers.on_open()
-                    for data, arrival_ns in self._arrivals(port):
+                    for data, arrival_ns in self._read_until_stopped(port):
                         received = self._has_received = True
                         self._received_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
@@ -185,26 +185,26 @@ class Link(Generic[T]):
             self._stopping.wait(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
-    def _arrivals(self, port: Port[T]) -> Iterator[tuple[T, int]]:
-        """Yield everything that arrives until the link is stopped."""
+    def _read_until_stopped(self, port: Port[T]) -> Iterator[tuple[T, int]]:
+        """Yield received data until the link is stopped."""
         received_s = time.monotonic()
         while not self._stopping.is_set():
             is_silent = True
-            self.look.step(time.monotonic_ns())
+            self.read_monitor.record_step(time.monotonic_ns())
             for arrival in port.read():
-                self.look.step(time.monotonic_ns())
+                self.read_monitor.record_step(time.monotonic_ns())
                 is_silent = False
                 yield arrival
                 if self._stopping.is_set():
                     return
-                self.look.step(time.monotonic_ns())
-            self.look.found_nothing()
+                self.read_monitor.record_step(time.monotonic_ns())
+            self.read_monitor.record_empty_port()
             if not is_silent:
                 received_s = time.monotonic()
                 continue
             self._handlers.on_silence()
             if time.monotonic() - received_s > self._silence_s:
-                raise _Silence(f"nothing received for {self._silence_s:g} s")
+                raise _SilentPortError(f"nothing received for {self._silence_s:g} s")
 
     def _set_port(self, port: Port[T] | None) -> None:
         with self._lock:
@@ -218,11 +218,11 @@ class Link(Generic[T]):
         with self._lock:
             self._errors += 1
             self._last_error_s = time.time()
-            self._was_silent = isinstance(error, _Silence)
-            self._last_error = str(error) if self._was_silent else _reason(error)
+            self._was_silent = isinstance(error, _SilentPortError)
+            self._last_error = str(error) if self._was_silent else _error_text(error)
 
 
-def _reason(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """The system's error text, without the port names that libraries add; else type and text of the error."""
     inner = error.__cause__ if error.__suppress_context__ else error.__context__
     for cause in (inner, error):
@@ -231,5 +231,5 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-class _Silence(Exception):
+class _SilentPortError(Exception):
     """An open port delivered nothing for too long."""

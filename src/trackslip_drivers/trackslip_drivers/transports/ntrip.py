@@ -27,15 +27,15 @@ from trackslip_drivers.protocols.gnss_frames import FrameCutter, Kind
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 STALL_S = 10.0  # without a byte, after which the connection is made again
-MOST_RATE = 50_000  # B/s over a network; corrections of all satellites are 4 kB/s
-_BURST = 64_000  # bytes beyond the rate, which casters send at first
-_RATE_OVER_S = 2.0  # interval over which the rate is counted
-_AHEAD_S = 0.4  # of the line's capacity that may be written at once
-_STEADY_S = 60.0  # of corrections, after which the pause is the first one again
-_PIECE = 4096  # bytes
-_MOST_SILENT = 20_000  # bytes without a complete message, which are no corrections
+MAX_RATE = 50_000  # B/s over a network; corrections of all satellites are 4 kB/s
+_FIRST_BURST = 64_000  # bytes beyond the rate, which casters send at first
+_RATE_INTERVAL_S = 2.0  # interval over which the rate is counted
+_LINE_BUFFER_S = 0.4  # of the line's capacity that may be written at once
+_PAUSE_RESET_S = 60.0  # of corrections, after which the pause is the first one again
+_READ_SIZE = 4096  # bytes
+_MAX_OTHER_BYTES = 20_000  # bytes without a complete message, which are no corrections
 _LONGEST_FILE = 1024  # bytes
-_LOOK_S = 0.2  # between checks for a position
+_POSITION_CHECK_S = 0.2  # between checks for a position
 
 
 @dataclass(frozen=True)
@@ -89,32 +89,32 @@ class _Fault(Exception):
     """A fault of the caster, as text for users."""
 
 
-class _Line:
+class _RateLimiter:
     """Limits a stream that comes in bursts to the capacity of the receiver's line."""
 
     def __init__(self, rate: int) -> None:
         self._rate = rate  # B/s
-        self._free, self._at_s = rate * _AHEAD_S, time.monotonic()
-        self._counted, self._since_s, self._burst = 0, self._at_s, _BURST
+        self._free, self._at_s = rate * _LINE_BUFFER_S, time.monotonic()
+        self._counted, self._since_s, self._burst = 0, self._at_s, _FIRST_BURST
 
-    def check(self, size: int, now_s: float) -> None:
+    def count_bytes(self, size: int, now_s: float) -> None:
         """Count bytes from the caster.
 
         Raises:
             _Fault: the caster sends more than the line carries, and not only at first.
         """
-        if now_s - self._since_s > _RATE_OVER_S:
+        if now_s - self._since_s > _RATE_INTERVAL_S:
             self._counted, self._since_s, self._burst = 0, now_s, 0
         self._counted += size
-        if self._counted > self._burst + self._rate * _RATE_OVER_S:
+        if self._counted > self._burst + self._rate * _RATE_INTERVAL_S:
             raise _Fault(f"sends more than the {self._rate / 1e3:g} kB/s that the receiver's line takes")
 
-    def takes(self, size: int, now_s: float) -> bool:
-        """Whether a whole message may be sent now, and reserve its capacity: a part of one is useless."""
-        free = min(self._free + (now_s - self._at_s) * self._rate, self._rate * _AHEAD_S)
-        taken = size <= free
-        self._free, self._at_s = free - size if taken else free, now_s
-        return taken
+    def reserve(self, size: int, now_s: float) -> bool:
+        """Reserve capacity for a whole message, as a part of one is useless; False if there is none now."""
+        free = min(self._free + (now_s - self._at_s) * self._rate, self._rate * _LINE_BUFFER_S)
+        fits = size <= free
+        self._free, self._at_s = free - size if fits else free, now_s
+        return fits
 
 
 class _Response(HTTPResponse):
@@ -123,7 +123,7 @@ class _Response(HTTPResponse):
     def _read_status(self) -> tuple[str, int, str]:
         line = self.fp.peek(32)[:32] if hasattr(self.fp, "peek") else b""
         if line.startswith(b"ICY 200"):
-            self.fp.readline(_PIECE)
+            self.fp.readline(_READ_SIZE)
             return "HTTP/1.0", 200, "OK"
         if line.startswith(b"SOURCETABLE"):
             return "HTTP/1.0", 404, "sourcetable"
@@ -146,12 +146,12 @@ class NtripClient:
         self,
         p: NtripParameters,
         credentials: Credentials | None,
-        most_rate: int,
+        max_rate: int,
         on_message: Callable[[bytes], object],
         gga: Callable[[], bytes | None],
     ) -> None:
         self.where = f"NTRIP caster {p.host}:{p.port}, mountpoint {p.mountpoint}"
-        self._p, self._credentials, self._most_rate = p, credentials, most_rate
+        self._p, self._credentials, self._max_rate = p, credentials, max_rate
         self._on_message, self._gga = on_message, gga
         self._lock = threading.Lock()  # guards the attributes below
         self._fault = "not asked yet"
@@ -191,27 +191,27 @@ class NtripClient:
                 self._receive()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the caster is what failed)
                 with self._lock:
-                    self._fault = self._words(error)
-            if time.monotonic() - begun_s > _STEADY_S:
+                    self._fault = self._fault_text(error)
+            if time.monotonic() - begun_s > _PAUSE_RESET_S:
                 pause_s = FIRST_PAUSE_S
             self._stopping.wait(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _receive(self) -> None:
         """Receive over one connection, until it ends."""
-        position = self._position()
+        position = self._wait_for_position()
         if self._stopping.is_set():
             return
-        connection, response = self._connection(), None
+        connection, response = self._make_connection(), None
         try:
             connection.connect()
             line = connection.sock  # the connection drops it with the response
             with self._lock:
                 self._socket = line
-            response = self._ask(connection, position)
+            response = self._request_stream(connection, position)
             if position is not None:
                 line.sendall(position)
-            self._hand_on(line, response)
+            self._forward_messages(line, response)
         finally:
             with self._lock:
                 self._socket = None
@@ -219,18 +219,18 @@ class NtripClient:
                 response.close()
             connection.close()
 
-    def _position(self) -> bytes | None:
-        """The sentence for the caster, as soon as there is one; None if positions are switched off."""
+    def _wait_for_position(self) -> bytes | None:
+        """Wait for the position as a sentence for the caster; None if positions are switched off."""
         while self._p.gga_interval > 0.0 and not self._stopping.is_set():
             if (sentence := self._gga()) is not None:
                 return sentence
             with self._lock:
                 if self._messages == 0:
                     self._fault = "waiting for the first position, which the caster requires"
-            self._stopping.wait(_LOOK_S)
+            self._stopping.wait(_POSITION_CHECK_S)
         return None
 
-    def _connection(self) -> HTTPConnection:
+    def _make_connection(self) -> HTTPConnection:
         p = self._p
         if p.tls:
             context = ssl.create_default_context()
@@ -242,7 +242,7 @@ class NtripClient:
             self._connections += 1
         return connection
 
-    def _ask(self, connection: HTTPConnection, position: bytes | None) -> HTTPResponse:
+    def _request_stream(self, connection: HTTPConnection, position: bytes | None) -> HTTPResponse:
         headers = {"Ntrip-Version": "Ntrip/2.0", "User-Agent": "NTRIP trackslip", "Connection": "close"}
         if self._credentials is not None:
             both = f"{self._credentials.user}:{self._credentials.password}".encode()
@@ -259,37 +259,37 @@ class NtripClient:
             raise _Fault(f"answers {response.status}")
         return response
 
-    def _hand_on(self, line: socket.socket, response: HTTPResponse) -> None:
-        cutter, receiver, silent = FrameCutter(0), _Line(self._most_rate), 0
+    def _forward_messages(self, line: socket.socket, response: HTTPResponse) -> None:
+        cutter, receiver, other_bytes = FrameCutter(0), _RateLimiter(self._max_rate), 0
         sent_s = time.monotonic()
         while not self._stopping.is_set():
-            data = response.read1(_PIECE)
+            data = response.read1(_READ_SIZE)
             if not data:
                 raise _Fault("closed the connection")
             now_s = time.monotonic()
-            receiver.check(len(data), now_s)
-            silent += len(data)
+            receiver.count_bytes(len(data), now_s)
+            other_bytes += len(data)
             for frame in cutter.feed(data, time.monotonic_ns()):
                 if frame.kind is Kind.RTCM:
-                    silent = 0
-                    taken = receiver.takes(len(frame.content), now_s)
-                    if taken:
+                    other_bytes = 0
+                    is_sent = receiver.reserve(len(frame.content), now_s)
+                    if is_sent:
                         self._on_message(frame.content)
-                    self._count(len(frame.content), taken=taken)
-            if silent > _MOST_SILENT:
+                    self._count_message(len(frame.content), is_sent=is_sent)
+            if other_bytes > _MAX_OTHER_BYTES:
                 raise _Fault("sends no RTCM 3; check ntrip.mountpoint")
             if 0.0 < self._p.gga_interval <= now_s - sent_s and (sentence := self._gga()) is not None:
                 line.sendall(sentence)
                 sent_s = now_s
 
-    def _count(self, size: int, *, taken: bool) -> None:
+    def _count_message(self, size: int, *, is_sent: bool) -> None:
         with self._lock:
-            self._left_out += not taken
-            self._messages, self._bytes = self._messages + taken, self._bytes + taken * size
+            self._left_out += not is_sent
+            self._messages, self._bytes = self._messages + is_sent, self._bytes + is_sent * size
             self._latest_s, self._fault = time.monotonic(), ""
 
     @staticmethod
-    def _words(error: Exception) -> str:
+    def _fault_text(error: Exception) -> str:
         """Text of a fault, without any data sent or received."""
         if isinstance(error, _Fault):
             return str(error)

@@ -13,8 +13,8 @@ import serial
 
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
 
-_MOST_BYTES = 4096  # returned at once
-_GATHER_S = 0.005  # from the first byte to the read, so that a slow line does not wake the process per byte
+_MAX_READ_SIZE = 4096  # returned at once
+_READ_DELAY_S = 0.005  # after the first byte, so that a slow line does not wake the process per byte
 _WRITE_TIMEOUT_S = 0.5
 
 
@@ -42,7 +42,7 @@ class SerialPort:
                 raise
             self._serial = self._open(url, baud, serial.PARITY_NONE)
             self._note_parity(url, parity)
-        if parity != serial.PARITY_NONE and self._parity_was_ignored():
+        if parity != serial.PARITY_NONE and self._is_parity_ignored():
             self._serial.parity = serial.PARITY_NONE  # or the next change of baud would fail
             self._note_parity(url, parity)
         is_terminal = type(self._serial) is serial.Serial and os.name == "posix"
@@ -54,7 +54,7 @@ class SerialPort:
         If the line fell silent during that moment, the last byte arrived earlier, by up to that moment. For
         better times, use several reads: one in the midst of a telegram is prompt.
         """
-        data = self._read_any() if self._descriptor is None else self._read_terminal(self._descriptor)
+        data = self._read_pyserial() if self._descriptor is None else self._read_terminal(self._descriptor)
         return [(data, time.time_ns())] if data else []
 
     @staticmethod
@@ -63,19 +63,19 @@ class SerialPort:
         ready, _, _ = select.select([descriptor], [], [], READ_TIMEOUT_S)
         if not ready:
             return b""
-        time.sleep(_GATHER_S)
-        data = os.read(descriptor, _MOST_BYTES)
+        time.sleep(_READ_DELAY_S)
+        data = os.read(descriptor, _MAX_READ_SIZE)
         if not data:
             raise serial.SerialException("the port has gone: ready to be read, but empty")
         return data
 
-    def _read_any(self) -> bytes:
+    def _read_pyserial(self) -> bytes:
         """Read from any port that pyserial can open."""
         data = bytes(self._serial.read(1))
         if data:
-            time.sleep(_GATHER_S)
-        while data and len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
-            data += self._serial.read(min(waiting, _MOST_BYTES))
+            time.sleep(_READ_DELAY_S)
+        while data and len(data) < _MAX_READ_SIZE and (waiting := self._serial.in_waiting):
+            data += self._serial.read(min(waiting, _MAX_READ_SIZE))
         return data
 
     def write(self, data: bytes) -> None:
@@ -111,7 +111,7 @@ class SerialPort:
                 raise OSError(errno.EBUSY, "locked: another program has it open") from None
             raise
 
-    def _parity_was_ignored(self) -> bool:
+    def _is_parity_ignored(self) -> bool:
         """Whether the kernel silently ignored the parity; False if the port is no terminal."""
         try:
             attributes = termios.tcgetattr(self._serial.fileno())
