@@ -46,7 +46,7 @@ def test_a_bus_of_another_shape_by_its_roles_file(tmp_path):
     driver = machine(tmp_path)
     found = over_virtual_bus(driver, unseen_bus.frames(S, 11 * S), "unseen")
     assert set(driver.tally.total.values()) == {1}  # one count of each kind, listed below
-    assert driver.decoder.others == 200  # frames of the radio
+    assert driver.decoder.frames_without_role == 200  # frames of the radio
     assert {kind: len(samples) for kind, samples in found.items()} == {
         SprocketSample: 500,
         HydraulicsSample: 199,  # the first pressures arrive before any spool positions
@@ -271,7 +271,7 @@ def test_j1939_by_parameter_group_and_sender(tmp_path):
     assert sprockets[-1][3:] == pytest.approx(expected)
     assert hydraulics[-1].supply_pressure == 18.6e6
     assert math.isnan(hydraulics[-1].left_pressure)
-    assert driver.decoder.others == 0
+    assert driver.decoder.frames_without_role == 0
     not_available = b"\xff" * 8
     assert driver.receive(3 << 26 | group | 0x21, not_available, S) == []
     assert driver.tally.total["TrackMotor", "out of range"] == 1

@@ -108,17 +108,19 @@ def from_source(address, end_ns=2 * S):
 def test_another_source_address_is_named_and_j1939_accepts_it(tmp_path):
     driver = machine(tmp_path, dbc=of_j1939(unseen_bus.DBC))
     assert not sprockets_of(driver, from_source(0x27))
-    assert all(word in driver.decoder.hint() for word in ("TravelFlow", "0x27", "0xFE", "j1939: true"))
+    assert all(
+        word in driver.decoder.no_role_message() for word in ("TravelFlow", "0x27", "0xFE", "j1939: true")
+    )
     roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
     reported = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
     assert len(sprockets_of(reported, from_source(0x27))) == 50
-    assert reported.decoder.other_source() == ""
+    assert reported.decoder.other_source_message() == ""
 
 
 def test_ids_of_a_bus_without_roles_are_named(tmp_path):
     driver = machine(tmp_path)
     drive(driver, [(s, 0x321 | STANDARD_FLAG, d) for s, _, d in unseen_bus.frames(S, 2 * S)])
-    assert "0x321" in driver.decoder.hint()
+    assert "0x321" in driver.decoder.no_role_message()
 
 
 PILOTS = """BO_ 1040 Pilots: 4 MC
@@ -198,7 +200,7 @@ def test_degree_sign_in_utf_8_is_read(tmp_path, encoding):
     dbc, roles = unseen_bus.write(tmp_path, dbc=unseen_bus.DBC.replace('"deg"', '"°"'))
     dbc.write_text(dbc.read_text(encoding="utf-8").replace('"l/min"', '"m³/s"'), encoding=encoding)
     frames = FrameSet(dbc, roles, PARAMETERS.vehicle)
-    assert frames.bindings.turned["swing"].rad_per_step == pytest.approx(-math.radians(0.1))
+    assert frames.bindings.position_signals["swing"].rad_per_step == pytest.approx(-math.radians(0.1))
 
 
 @pytest.mark.parametrize("low", [0.0, -180.0], ids=["0 to 360", "-180 to 180"])
@@ -249,6 +251,6 @@ def test_the_example_for_pilot_pressures_binds(tmp_path):
     )
     (tmp_path / "zx200.dbc").write_text('VERSION ""\nBS_:\nBU_: X\n' + text, encoding="utf-8")
     bound = FrameSet(tmp_path / "zx200.dbc", roles, PARAMETERS.vehicle).bindings
-    assert {*bound.scaled, *bound.turned} == set(entries)
-    forward, backward = bound.scaled["left_spool"]
-    assert forward.si(3.5) + backward.si(0.1) == pytest.approx(1.0)
+    assert {*bound.scaled_signals, *bound.position_signals} == set(entries)
+    forward, backward = bound.scaled_signals["left_spool"]
+    assert forward.si_value(3.5) + backward.si_value(0.1) == pytest.approx(1.0)

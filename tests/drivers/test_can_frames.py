@@ -88,7 +88,7 @@ def test_unknown_frames_are_ignored_and_error_frames_counted(decoder, tally, fra
     assert decoder.decode(0x0CFF1080 | STANDARD_FLAG, data, 0) == ()
     assert decoder.decode(ERROR_FLAG | 0x40, bytes(8), 0) is Rejection.ERROR_FRAME
     assert tally.total == {(BUS, "error frame"): 1}
-    assert decoder.others == 2  # frames with other identifiers are normal and give no warning
+    assert decoder.frames_without_role == 2  # frames with other identifiers are normal and give no warning
 
 
 def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
@@ -107,7 +107,7 @@ def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
 def test_raw_value_outside_the_contract(decoder, tally):
     frame_id, payload = 0x0CFF1280, bytes.fromhex("00 80 00 00 00 00 00 00")  # -32768 kPa: "not available"
     assert (
-        decoder.decode(frame_id, FRAMES.codecs[PRESSURES].sealed(frame_id, payload), 0)
+        decoder.decode(frame_id, FRAMES.codecs[PRESSURES].replace_checksum(frame_id, payload), 0)
         is Rejection.OUT_OF_RANGE
     )
     assert tally.total[PRESSURES, "out of range"] == 1
@@ -281,7 +281,7 @@ def test_payloads_are_those_of_cantools(changes, tmp_path):
             }
             frame_id, payload = frames.encode(name, values, alive)
             theirs = message.encode({**values, "alive_counter": alive % 16, "checksum": 0})
-            assert payload == frames.codecs[name].sealed(frame_id, theirs)
+            assert payload == frames.codecs[name].replace_checksum(frame_id, theirs)
             found = frames.codecs[name].unpack(
                 *(int.from_bytes(payload, order) for order in ("little", "big"))
             )
@@ -308,7 +308,7 @@ def test_a_floating_point_signal_is_read(tmp_path, tally):
         message = frames.by_name[PRESSURES]
         values = {"left_pressure": 0, "right_pressure": 0, "alive_counter": 0, "checksum": 0}
         payload = message.encode({**values, "supply_pressure": raw}, strict=False)
-        sent = message.frame_id, frames.codecs[PRESSURES].sealed(message.frame_id, payload)
+        sent = message.frame_id, frames.codecs[PRESSURES].replace_checksum(message.frame_id, payload)
         found: Any = FrameDecoder(frames, tally).decode(*sent, 0)
         assert found is outcome or found[0].values["supply_pressure"] == raw
 
@@ -320,7 +320,7 @@ def test_the_checksum_is_crc_12_gsm():
         frame_id, data = int(rng.integers(1 << 29)), rng.bytes(8)
         alive = data[-2] & 0xF
         crc = Crc12Gsm.calc(frame_id.to_bytes(4, "big") + data[:-2] + bytes((alive,)))
-        assert codec.sealed(frame_id, data) == data[:-2] + (alive | crc << 4).to_bytes(2, "little")
+        assert codec.replace_checksum(frame_id, data) == data[:-2] + (alive | crc << 4).to_bytes(2, "little")
 
 
 def test_checksums_of_eight_bits():

@@ -6,7 +6,7 @@ import pytest
 from fixtures.unseen_bus import drive, machine
 
 from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
-from trackslip_drivers.protocols.canopen import START_ALL, start_of
+from trackslip_drivers.protocols.canopen import START_ALL, start_command
 
 S = 1_000_000_000
 DBC = """VERSION ""
@@ -58,8 +58,8 @@ def test_positions_of_encoders_are_sprockets_over_their_wrap(tmp_path):
 )
 def test_node_in_bootup_or_preoperational_state_is_started(name, data, node):
     expected = None if node is None else (STANDARD_FLAG, bytes((1, node)))
-    assert start_of(name | STANDARD_FLAG, data) == expected
-    assert start_of(name, data) is None  # 29-bit identifier: not CANopen
+    assert start_command(name | STANDARD_FLAG, data) == expected
+    assert start_command(name, data) is None  # 29-bit identifier: not CANopen
 
 
 def test_first_start_command_addresses_all_nodes():

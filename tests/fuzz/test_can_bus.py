@@ -44,9 +44,9 @@ def test_good_frames_are_decoded_after_any_frames(conversation: list[Piece]) -> 
     decoder, can, now_ns = FrameDecoder(FRAMES, Tally()), ExcavatorCan(P, FRAMES, Tally()), 0
     for silence, identifier, payload, is_sealed in conversation:
         now_ns += MS * silence
-        codec = FRAMES.find(identifier)
+        codec = FRAMES.find_codec(identifier)
         if is_sealed and codec is not None and len(payload) == codec.length:
-            payload = codec.sealed(identifier, payload)
+            payload = codec.replace_checksum(identifier, payload)
         decoder.decode(identifier, payload, now_ns)
         for sample in can.receive(identifier, payload, now_ns):
             if isinstance(sample, SprocketSample):

@@ -58,7 +58,7 @@ def read_can_logs(
     with _UnreadLines() as unread:
         for arbitration_id, data, stamp_ns, channel in heapq.merge(*logs, key=itemgetter(2)):
             count += 1
-            if (codec := frames.find(arbitration_id)) is not None:
+            if (codec := frames.find_codec(arbitration_id)) is not None:
                 carriers.setdefault(codec.name, set()).add(channel)
             samples += bus.receive(arbitration_id, data, stamp_ns)
     names = ", ".join(path.name for path in paths)
@@ -68,7 +68,7 @@ def read_can_logs(
         if len(of_frame) > 1:
             several = f"frame '{frame}' comes on channels {listed(sorted(of_frame))}"
             raise InputError(f"{given.where}: {names}: {several}; accepted: channel: one of them")
-    if ambiguous := bus.decoder.ambiguous_source():
+    if ambiguous := bus.decoder.ambiguous_source_message():
         raise InputError(f"{given.where}: {names}: {ambiguous}")
     refused = [
         f"{names}: {source}: {n} × {reason}"
@@ -76,7 +76,7 @@ def read_can_logs(
         for reason, n in reasons.items()
     ]
     if not samples:
-        reason = bus.decoder.hint() or "; ".join([f"{count} frames give no sample", *refused])
+        reason = bus.decoder.no_role_message() or "; ".join([f"{count} frames give no sample", *refused])
         if given.channel is not None and given.channel not in channels:
             reason = f"no frame of channel '{given.channel}', but of {listed(sorted(channels)) or 'none'}"
         raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")

@@ -14,7 +14,7 @@ from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParam
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, load_frames
-from trackslip_drivers.protocols.canopen import START_ALL, start_of
+from trackslip_drivers.protocols.canopen import START_ALL, start_command
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.stamping import StampEvent
@@ -71,7 +71,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
 
     def receive(self, data: CanFrame, arrival_ns: int) -> None:
         """Decode one frame, and publish the samples that it completes."""
-        if self.settings.canopen_start and (start := start_of(*data)) and self._link is not None:
+        if self.settings.canopen_start and (start := start_command(*data)) and self._link is not None:
             self._link.write(start)
         if data[0] & ERROR_FLAG:
             self._bus_state = bus_state(*data) or self._bus_state
@@ -91,7 +91,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
 
     def unusable_data_message(self) -> str:
         """Reason why no received frame has a role; empty if unknown."""
-        return self._can.decoder.hint()
+        return self._can.decoder.no_role_message()
 
     def health(self) -> list[Health]:
         """The link's health, with the state of the bus."""
@@ -99,9 +99,9 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         entries = super().health()
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
-            entries[0].values["frames without a role"] = self._can.decoder.others
+            entries[0].values["frames without a role"] = self._can.decoder.frames_without_role
             entries[0].values["another source address"] = (
-                self._can.decoder.other_source() or self._can.decoder.ambiguous_source()
+                self._can.decoder.other_source_message() or self._can.decoder.ambiguous_source_message()
             )
         return entries
 

@@ -18,7 +18,7 @@ from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.protocols.can_codec import Field, field_of
 from trackslip_drivers.protocols.can_dbc import Dbc
 from trackslip_drivers.protocols.can_roles import ROLES, SPOOLS, SWING, Role
-from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
+from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted_units
 
 _TURN = 2.0 * math.pi
 _MOST_BITS = 64  # of a signal with a role
@@ -27,7 +27,7 @@ _ROUNDED_FACTOR = 0.01  # relative error of a rounded DBC factor: 65536 steps of
 _ROUNDING_STEPS = 2.0  # tolerance of a range against whole turns: 0…359.9 or −180…180 degrees is one turn
 
 
-class Place(NamedTuple):
+class SignalId(NamedTuple):
     """A signal of a frame, from the sender with address ``source`` or from any (−1)."""
 
     frame: str
@@ -35,24 +35,24 @@ class Place(NamedTuple):
     source: int
 
 
-class Scaled(NamedTuple):
-    """A signal scaled to SI: (value − offset) × factor, clamped to [low, high]."""
+class ScaledSignal(NamedTuple):
+    """A signal that is scaled to SI: (value − offset) × factor, clamped to [low, high]."""
 
-    place: Place
+    signal_id: SignalId
     offset: float
     factor: float
     low: float = -math.inf
     high: float = math.inf
 
-    def si(self, value: float) -> float:
+    def si_value(self, value: float) -> float:
         """The SI value of a value in the DBC's unit; nan for nan."""
         return min(max((value - self.offset) * self.factor, self.low), self.high)
 
 
-class Turned(NamedTuple):
-    """A position decoded from raw steps; positive: drives forward, or counter-clockwise (swing)."""
+class PositionSignal(NamedTuple):
+    """A position, decoded from raw steps; positive: drives forward, or counter-clockwise (swing)."""
 
-    place: Place
+    signal_id: SignalId
     rad_per_step: float
     steps_per_wrap: float  # until the position repeats; a whole number where possible
     zero_steps: float  # raw reading at angle zero
@@ -61,13 +61,13 @@ class Turned(NamedTuple):
 class Bindings(NamedTuple):
     """The bound signals of all roles; a value with several parts is the sum of the parts."""
 
-    scaled: Mapping[str, tuple[Scaled, ...]]
-    turned: Mapping[str, Turned]
+    scaled_signals: Mapping[str, tuple[ScaledSignal, ...]]
+    position_signals: Mapping[str, PositionSignal]
 
-    def places(self) -> list[Place]:
+    def signal_ids(self) -> list[SignalId]:
         """Every signal in use."""
-        scaled = [part.place for parts in self.scaled.values() for part in parts]
-        return [*scaled, *(turned.place for turned in self.turned.values())]
+        scaled = [part.signal_id for parts in self.scaled_signals.values() for part in parts]
+        return [*scaled, *(position.signal_id for position in self.position_signals.values())]
 
 
 class Binder:
@@ -93,37 +93,37 @@ class Binder:
             InputError: a signal is missing or ambiguous; its unit is unknown, missing or of another quantity;
                 or two roles share a signal.
         """
-        scaled: dict[str, tuple[Scaled, ...]] = {}
-        turned: dict[str, Turned] = {}
-        users: list[tuple[Place, str]] = []
+        scaled: dict[str, tuple[ScaledSignal, ...]] = {}
+        positions: dict[str, PositionSignal] = {}
+        users: list[tuple[SignalId, str]] = []
         for name, role in roles.items():
             if Quantity.COUNT in ROLES[name]:
-                turned[name] = self._turned(name, role)
-                places = [turned[name].place]
+                positions[name] = self._bind_position(name, role)
+                signal_ids = [positions[name].signal_id]
             else:
                 signals = ((role.signal, 1.0), (role.minus, -1.0)) if role.minus else ((role.signal, 1.0),)
-                scaled[name] = tuple(self._scaled(name, role, *signal) for signal in signals)
-                places = [part.place for part in scaled[name]]
-            for place in places:
-                self._claim(place, name, users)
-                users.append((place, name))
-        return Bindings(scaled, turned)
+                scaled[name] = tuple(self._bind_scaled(name, role, *signal) for signal in signals)
+                signal_ids = [part.signal_id for part in scaled[name]]
+            for signal_id in signal_ids:
+                self._check_unused(signal_id, name, users)
+                users.append((signal_id, name))
+        return Bindings(scaled, positions)
 
-    def _claim(self, place: Place, name: str, users: list[tuple[Place, str]]) -> None:
-        """Raise ``InputError`` if a signal already has a role."""
+    def _check_unused(self, signal_id: SignalId, name: str, users: list[tuple[SignalId, str]]) -> None:
+        """Raise ``InputError`` if a signal has another role."""
         for other, user in users:
-            is_apart = -1 not in (other.source, place.source) and other.source != place.source
-            if other[:2] != place[:2] or is_apart:
+            has_other_source = -1 not in (other.source, signal_id.source) and other.source != signal_id.source
+            if other[:2] != signal_id[:2] or has_other_source:
                 continue
             roles = f"role '{name}'" if user == name else f"roles '{user}' and '{name}'"
-            signal = f"signal '{place.frame}.{place.signal}' is used twice"
+            signal = f"signal '{signal_id.frame}.{signal_id.signal}' is used twice"
             raise InputError(f"roles_file {self._roles}: {roles}: {signal}; accepted: a signal for each")
 
-    def _scaled(self, name: str, role: Role, reference: str, share: float) -> Scaled:
-        where, message, signal = self._find(name, reference)
+    def _bind_scaled(self, name: str, role: Role, reference: str, share: float) -> ScaledSignal:
+        where, message, signal = self._find_signal(name, reference)
         unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
         if unit.quantity is Quantity.PRESSURE and name in SPOOLS:
-            return self._spool(where, self._place(where, message, signal, role), role, share, unit)
+            return self._scale_spool(where, self._signal_id(where, message, signal, role), role, share, unit)
         if role.zero or role.full:
             raise InputError(
                 f"{where}: zero and full are for pilot pressures; accepted: none, as it is a ratio"
@@ -137,19 +137,21 @@ class Binder:
             factor *= _TURN * v.volumetric_efficiency / (v.motor_displacement * v.gear_ratio)
         elif unit.quantity is Quantity.SPEED:
             factor /= self._vehicle.kinematics.rolling_radius
-        return Scaled(self._place(where, message, signal, role), role.offset, factor / role.ratio)
+        return ScaledSignal(self._signal_id(where, message, signal, role), role.offset, factor / role.ratio)
 
     @staticmethod
-    def _spool(where: str, place: Place, role: Role, share: float, unit: Unit) -> Scaled:
+    def _scale_spool(where: str, signal_id: SignalId, role: Role, share: float, unit: Unit) -> ScaledSignal:
         """Scale a pilot pressure to a spool position: 0 up to ``zero``, ±1 from ``full`` on."""
-        zero, full = (_level(f"{where}: {key}", getattr(role, key), unit) for key in ("zero", "full"))
+        zero, full = (
+            _parse_pressure(f"{where}: {key}", getattr(role, key), unit) for key in ("zero", "full")
+        )
         if full <= zero:
             raise InputError(f"{where}: full: {role.full} is not above zero ({role.zero}); accepted: more")
         side = role.sign * share
-        return Scaled(place, zero, side / (full - zero), min(side, 0.0), max(side, 0.0))
+        return ScaledSignal(signal_id, zero, side / (full - zero), min(side, 0.0), max(side, 0.0))
 
-    def _turned(self, name: str, role: Role) -> Turned:
-        where, message, signal = self._find(name, role.signal)
+    def _bind_position(self, name: str, role: Role) -> PositionSignal:
+        where, message, signal = self._find_signal(name, role.signal)
         field = field_of(message, signal)
         unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
         rad = unit.factor
@@ -164,17 +166,17 @@ class Binder:
         step, zero = (1.0, 0.0) if field.floating else (field.scale, field.offset)
         if rad * abs(step) / role.ratio > _LARGEST_STEP:
             raise InputError(f"{where}: its factor makes a step of more than a turn; accepted: smaller steps")
-        wrap = role.wraps_at / abs(step) if role.wraps_at else _wrap(field, step, rad)
+        wrap = role.wraps_at / abs(step) if role.wraps_at else _steps_per_wrap(field, step, rad)
         if name == SWING and unit.quantity is Quantity.ANGLE and role.ratio == 1.0 and not role.wraps_at:
-            wrap = _circle(wrap, abs(step), rad)
-        return Turned(
-            self._place(where, message, signal, role),
+            wrap = _steps_per_turn(wrap, abs(step), rad)
+        return PositionSignal(
+            self._signal_id(where, message, signal, role),
             rad * step * role.sign / role.ratio,
-            _whole(wrap),
+            _round_if_whole(wrap),
             (role.offset - zero) / step,
         )
 
-    def _find(self, name: str, reference: str) -> tuple[str, Message, str]:
+    def _find_signal(self, name: str, reference: str) -> tuple[str, Message, str]:
         """(prefix of messages, frame, signal) for FRAME.SIGNAL, or for a signal name that one frame has."""
         where = f"roles_file {self._roles}: role '{name}': signal '{reference}'"
         frame, _, signal = reference.rpartition(".")
@@ -197,16 +199,16 @@ class Binder:
         return where, found[0], signal
 
     @staticmethod
-    def _place(where: str, message: Message, signal: str, role: Role) -> Place:
+    def _signal_id(where: str, message: Message, signal: str, role: Role) -> SignalId:
         if role.source >= 0 and message.protocol != "j1939":
             raise InputError(f"{where}: source: frame '{message.name}' is none of J1939; accepted: none")
-        return Place(message.name, signal, role.source)
+        return SignalId(message.name, signal, role.source)
 
     @staticmethod
     def _unit(where: str, name: str, role: Role, of_dbc: str | None) -> Unit:
         """The DBC's unit; the unit of the roles file if the DBC's is empty or unknown."""
         text = (of_dbc or "").strip()
-        requested = accepted(ROLES[name])
+        requested = accepted_units(ROLES[name])
         found, stated = UNITS.get(text), UNITS.get(role.unit.strip())
         if role.unit and stated is None:
             raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {requested}")
@@ -225,7 +227,7 @@ class Binder:
         return unit
 
 
-def _level(where: str, text: str, unit: Unit) -> float:
+def _parse_pressure(where: str, text: str, unit: Unit) -> float:
     """A pressure of the roles file, converted to the signal's unit."""
     number, _, name = text.strip().partition(" ")
     own = UNITS.get(name.strip()) if name else unit
@@ -234,12 +236,12 @@ def _level(where: str, text: str, unit: Unit) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or own is None or own.quantity is not Quantity.PRESSURE:
-        accepted_units = accepted((Quantity.PRESSURE,))
-        raise InputError(f"{where}: '{text}' is no pressure; accepted: as 0.5 MPa, in {accepted_units}")
+        units = accepted_units((Quantity.PRESSURE,))
+        raise InputError(f"{where}: '{text}' is no pressure; accepted: as 0.5 MPa, in {units}")
     return value * own.factor / unit.factor
 
 
-def _wrap(field: Field, step: float, rad: float) -> float:
+def _steps_per_wrap(field: Field, step: float, rad: float) -> float:
     """Raw steps until a position repeats: the DBC's range, rounded to whole turns if it is close to them."""
     whole = field.mask + 1.0
     if field.floating or math.isinf(field.low) or math.isinf(field.high):
@@ -251,7 +253,7 @@ def _wrap(field: Field, step: float, rad: float) -> float:
     return turns * turn if turns and abs(span - turns * turn) <= _ROUNDING_STEPS else span
 
 
-def _circle(wrap: float, step: float, rad: float) -> float:
+def _steps_per_turn(wrap: float, step: float, rad: float) -> float:
     """Raw steps of one turn: a swing is taken modulo one turn, as no cab swings half a turn between frames.
 
     If ``wrap`` differs from one turn only by a rounded factor, ``wrap`` is returned.
@@ -260,6 +262,6 @@ def _circle(wrap: float, step: float, rad: float) -> float:
     return wrap if abs(wrap - turn) <= _ROUNDED_FACTOR * turn else turn
 
 
-def _whole(steps: float) -> float:
+def _round_if_whole(steps: float) -> float:
     """The steps, rounded if they differ from a whole number only by rounding: whole numbers are exact."""
     return round(steps) if abs(steps - round(steps)) < 1e-6 * max(steps, 1.0) else steps

@@ -19,7 +19,7 @@ from cantools.database.errors import EncodeError
 Value = int | float
 
 _LARGEST_WHOLE = 1 << 64  # largest factor or offset kept as an integer
-_RESERVED_FROM = 0xFB  # J1939: lowest top byte of a raw value that means error or not available
+_FIRST_RESERVED = 0xFB  # J1939: lowest top byte of a raw value that means error or not available
 
 
 class Field(NamedTuple):
@@ -37,7 +37,7 @@ class Field(NamedTuple):
     reserved: int  # lowest raw value that means error or not available; 0: none
     selector: tuple["Field", frozenset[int]] | None = None  # multiplexer, and its values with this signal
 
-    def raw(self, little: int, big: int) -> int:
+    def raw_value(self, little: int, big: int) -> int:
         """The signal's bits as an unsigned integer, from the payload read in both byte orders."""
         return (big if self.big else little) >> self.shift & self.mask
 
@@ -46,28 +46,28 @@ class Field(NamedTuple):
         if self.reserved and raw >= self.reserved:
             return math.nan
         if self.floating:
-            number: float = struct.unpack("<" + self.floating, struct.pack("<" + _SAME[self.floating], raw))[
-                0
-            ]
+            number: float = struct.unpack(
+                "<" + self.floating, struct.pack("<" + _INTEGER_FORMATS[self.floating], raw)
+            )[0]
             return number * self.scale + self.offset if math.isfinite(number) else math.nan
         return float((raw - 2 * (raw & self.sign)) * self.scale + self.offset)
 
-    def bits(self, length: int) -> int:
+    def bit_mask(self, length: int) -> int:
         """Mask of the signal's bits in a payload that is read as a little-endian integer."""
         order = "big" if self.big else "little"
         return int.from_bytes((self.mask << self.shift).to_bytes(length, order), "little")  # type: ignore[arg-type]
 
-    def is_in(self, little: int, big: int) -> bool:
+    def is_present(self, little: int, big: int) -> bool:
         """Whether the payload contains the signal: all multiplexers above select it."""
         if self.selector is None:
             return True
         multiplexer, values = self.selector
-        raw = multiplexer.raw(little, big)
-        return raw - 2 * (raw & multiplexer.sign) in values and multiplexer.is_in(little, big)
+        raw = multiplexer.raw_value(little, big)
+        return raw - 2 * (raw & multiplexer.sign) in values and multiplexer.is_present(little, big)
 
 
-_SAME = {"e": "H", "f": "I", "d": "Q"}  # integer formats of the same size
-_FLOATING = {16: "e", 32: "f", 64: "d"}
+_INTEGER_FORMATS = {"e": "H", "f": "I", "d": "Q"}  # integer formats of the same size
+_FLOAT_FORMATS = {16: "e", 32: "f", 64: "d"}
 
 
 def field_of(message: Message, name: str) -> Field:
@@ -88,17 +88,17 @@ def field_of(message: Message, name: str) -> Field:
         8 * message.length - ahead - signal.length if big else signal.start,
         (1 << signal.length) - 1,
         1 << signal.length - 1 if signal.is_signed else 0,
-        _factor(signal.scale),
-        _factor(signal.offset),
+        _float_if_large(signal.scale),
+        _float_if_large(signal.offset),
         -math.inf if has_no_range or signal.minimum is None else float(signal.minimum),
         math.inf if has_no_range or signal.maximum is None else float(signal.maximum),
-        _FLOATING[signal.length] if signal.is_float else "",
-        _RESERVED_FROM << signal.length - 8 if has_reserved else 0,
+        _FLOAT_FORMATS[signal.length] if signal.is_float else "",
+        _FIRST_RESERVED << signal.length - 8 if has_reserved else 0,
         _selector(message, signal),
     )
 
 
-def _factor(number: float) -> float:
+def _float_if_large(number: float) -> float:
     """The number itself up to 2⁶⁴ (exact), else a float: an overflow is then infinite and raises nothing."""
     return number if abs(number) <= _LARGEST_WHOLE else float(number)
 
@@ -148,41 +148,47 @@ class Codec:
         self._checksum = field_of(message, protection.checksum) if protection.checksum else None
         if self._checksum is not None:
             self._compute = CHECKSUMS[protection.checksum_type][1]
-            self._cleared = (1 << 8 * self.length) - 1 & ~self._checksum.bits(self.length)
-            bare = [k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if not byte]
-            self._bare = slice(bare[0], bare[-1] + 1) if bare else slice(self.length, self.length)
+            self._data_mask = (1 << 8 * self.length) - 1 & ~self._checksum.bit_mask(self.length)
+            indices = [
+                k for k, byte in enumerate(self._data_mask.to_bytes(self.length, "little")) if not byte
+            ]
+            self._checksum_bytes = (
+                slice(indices[0], indices[-1] + 1) if indices else slice(self.length, self.length)
+            )
 
-    def checks(self, frame_id: int, little: int, big: int) -> bool:
+    def has_valid_checksum(self, frame_id: int, little: int, big: int) -> bool:
         """Whether the checksum is correct or absent; the payload is read in both byte orders."""
-        return self._checksum is None or self._checksum.raw(little, big) == self._checksum_of(
+        return self._checksum is None or self._checksum.raw_value(little, big) == self._checksum_of(
             frame_id, little
         )
 
-    def sealed(self, frame_id: int, data: bytes) -> bytes:
+    def replace_checksum(self, frame_id: int, data: bytes) -> bytes:
         """The payload with its checksum replaced by the correct one."""
         if self._checksum is None:
             return data
-        little = int.from_bytes(data, "little") & self._cleared
-        little |= self._placed(self._checksum, self._checksum_of(frame_id, little))
+        little = int.from_bytes(data, "little") & self._data_mask
+        little |= self._shift_to_field(self._checksum, self._checksum_of(frame_id, little))
         return little.to_bytes(self.length, "little")
 
     def _checksum_of(self, frame_id: int, little: int) -> int:
-        cleared = (little & self._cleared).to_bytes(self.length, "little")
-        return self._compute(frame_id, cleared[: self._bare.start] + cleared[self._bare.stop :])
+        cleared = (little & self._data_mask).to_bytes(self.length, "little")
+        return self._compute(
+            frame_id, cleared[: self._checksum_bytes.start] + cleared[self._checksum_bytes.stop :]
+        )
 
     def has_unused_bits(self, little: int) -> bool:
         """Whether a bit that belongs to no signal is set, if ``unused_bits_zero`` forbids it."""
         return bool(little & self._unused_bits)
 
-    def count(self, little: int, big: int) -> int | None:
+    def counter_value(self, little: int, big: int) -> int | None:
         """The sender's counter; None if the frame has none."""
-        return None if self._counter is None else self._counter.raw(little, big)
+        return None if self._counter is None else self._counter.raw_value(little, big)
 
     def unpack(self, little: int, big: int) -> dict[str, Value] | None:
         """The values of the signals in the payload; None if one is out of range."""
         values: dict[str, Value] = {}
         for name, field, is_whole in self._requested:
-            if field.selector is not None and not field.is_in(little, big):
+            if field.selector is not None and not field.is_present(little, big):
                 continue
             raw = (big if field.big else little) >> field.shift & field.mask
             value = field.value(raw)
@@ -202,12 +208,12 @@ class Codec:
             value = values[name]
             if not field.low <= value <= field.high:
                 raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")
-            little |= self._placed(field, round((value - field.offset) / field.scale) & field.mask)
+            little |= self._shift_to_field(field, round((value - field.offset) / field.scale) & field.mask)
         if self._counter is not None:
-            little |= self._placed(self._counter, count % self.modulus)
-        return self.sealed(frame_id, little.to_bytes(self.length, "little"))
+            little |= self._shift_to_field(self._counter, count % self.modulus)
+        return self.replace_checksum(frame_id, little.to_bytes(self.length, "little"))
 
-    def _placed(self, field: Field, raw: int) -> int:
+    def _shift_to_field(self, field: Field, raw: int) -> int:
         """The raw value shifted to the field's place in a payload read as a little-endian integer."""
         if not field.big:
             return raw << field.shift
@@ -224,7 +230,7 @@ def _used_bits(message: Message) -> int:
     """Mask of the bits that belong to a signal, in a payload read as a little-endian integer."""
     bits = 0
     for signal in message.signals:
-        bits |= field_of(message, signal.name).bits(message.length)
+        bits |= field_of(message, signal.name).bit_mask(message.length)
     return bits
 
 

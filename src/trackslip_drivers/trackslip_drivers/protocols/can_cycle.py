@@ -6,21 +6,21 @@ import statistics
 from collections import deque
 from dataclasses import dataclass
 
-PROMPT = 0.5  # of a cycle: a frame that deviates by more is early or late
-_FEW = 8  # intervals needed for a measured cycle
-_LONGEST = 4  # cycles of an interval that is used
-_BLOCK = 32  # cycles per block
-_BLOCKS = 32  # blocks averaged
-_ENOUGH = 3  # blocks needed before their mean is used
-_WATCHED_NS = 500_000_000  # in a shorter time only the DBC's cycle can be confirmed
-_RECENT_NS = 4_000_000_000  # when the recent intervals exceed this, their weight is halved
+PROMPT_TOLERANCE = 0.5  # of a cycle: a frame that deviates by more is early or late
+_MIN_INTERVALS = 8  # intervals needed for a measured cycle
+_MAX_CYCLES = 4  # cycles of an interval that is used
+_BLOCK_CYCLES = 32  # cycles per block
+_AVERAGED_BLOCKS = 32  # blocks averaged
+_MIN_BLOCKS = 3  # blocks needed before their mean is used
+_MIN_OBSERVATION_NS = 500_000_000  # in a shorter time only the DBC's cycle can be confirmed
+_WINDOW_NS = 4_000_000_000  # when the recent intervals exceed this, their weight is halved
 _SILENCE_NS = 2_000_000_000  # a longer interval is not caused by a stalled host
-_FILLED = 0.7  # least share of the time that the counted cycles must fill
-_WORSE = 0.05  # share of the time: a new cycle may explain this much less than the present one
-_PERSISTENT_NS = 1_000_000_000  # frames off the cycle for longer have another cycle
-_STALLING_NS = 10_000_000_000  # the same where the pattern is that of a host that stalls repeatedly
-_ROUGHLY = 0.25  # relative tolerance for a single interval to confirm the DBC's cycle
-_AS_STATED = 0.05  # relative tolerance for a measured cycle to be that of the DBC
+_MIN_FILLED_SHARE = 0.7  # least share of the time that the counted cycles must fill
+_FILLED_MARGIN = 0.05  # share of the time: a new cycle may explain this much less than the present one
+_CHANGE_NS = 1_000_000_000  # frames off the cycle for longer have another cycle
+_CHANGE_AMID_STALLS_NS = 10_000_000_000  # the same where the pattern is that of a host that stalls repeatedly
+_FIRST_TOLERANCE = 0.25  # relative tolerance for a single interval to confirm the DBC's cycle
+_NOMINAL_TOLERANCE = 0.05  # relative tolerance for a measured cycle to be that of the DBC
 
 
 @dataclass
@@ -36,10 +36,11 @@ class _Intervals:
         self.cycles += cycles
         self.time_ns += interval_ns
 
-    def halved(self) -> "_Intervals":
+    def half_weight(self) -> "_Intervals":
+        """The sums with half their weight."""
         return _Intervals(self.count, self.cycles / 2.0, self.time_ns / 2.0)
 
-    def filled_by(self, cycle_ns: float) -> float:
+    def filled_share(self, cycle_ns: float) -> float:
         """Share of the summed time that the cycles would take at ``cycle_ns`` each."""
         return self.cycles * cycle_ns / max(self.time_ns, 1)
 
@@ -63,8 +64,8 @@ class CycleMeter:
         self._restart()
 
     def _restart(self) -> None:
-        self._first: deque[float] = deque(maxlen=2 * _FEW)  # ns per cycle, first intervals
-        self._blocks: deque[float] = deque(maxlen=_BLOCKS)  # ns per cycle
+        self._first: deque[float] = deque(maxlen=2 * _MIN_INTERVALS)  # ns per cycle, first intervals
+        self._blocks: deque[float] = deque(maxlen=_AVERAGED_BLOCKS)  # ns per cycle
         self._time_ns = self._cycles = 0  # of the incomplete block
         self._early, self._late = _Intervals(), _Intervals()  # since the last prompt frame
         self._recent = _Intervals()
@@ -76,37 +77,41 @@ class CycleMeter:
         if interval_ns < 0:
             self._time_ns = self._cycles = 0
             return
-        is_long, each = not 1 <= cycles <= _LONGEST, interval_ns / max(cycles, 1)
+        is_long, each = not 1 <= cycles <= _MAX_CYCLES, interval_ns / max(cycles, 1)
         counted = 1 if is_long else cycles
         if interval_ns < _SILENCE_NS:
             self._recent.add(interval_ns, counted)
-            if self._recent.time_ns > _RECENT_NS:
-                self._recent = self._recent.halved()
+            if self._recent.time_ns > _WINDOW_NS:
+                self._recent = self._recent.half_weight()
         if self.cycle_ns is None:
             if not is_long:
                 self._first.append(each)
-                self.cycle_ns = self._by_first()
+                self.cycle_ns = self._first_estimate()
             return
-        is_prompt = not is_long and abs(each / self.cycle_ns - 1.0) <= PROMPT
+        is_prompt = not is_long and abs(each / self.cycle_ns - 1.0) <= PROMPT_TOLERANCE
         if not is_prompt:
             is_early = each < self.cycle_ns and not is_long
             (self._early if is_early else self._late).add(interval_ns, counted)
         elif self._early.count or self._late.count:
             self._early, self._late = _Intervals(), _Intervals()
         self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
-        if not is_prompt and self._is_another():
+        if not is_prompt and self._has_cycle_changed():
             self._restart()
         elif is_long:
             self._time_ns = self._cycles = 0
-        elif self._cycles >= _BLOCK:
+        elif self._cycles >= _BLOCK_CYCLES:
             self._blocks.append(self._time_ns / self._cycles)
             self._time_ns = self._cycles = 0
             middle = statistics.median_low(self._blocks)  # one of the blocks, so at least one agrees with it
-            if len(self._blocks) >= _ENOUGH:
-                agreeing = [block for block in self._blocks if abs(block - middle) <= _AS_STATED * middle]
-                self.cycle_ns = self._decide(statistics.fmean(agreeing), _AS_STATED, _FEW)
+            if len(self._blocks) >= _MIN_BLOCKS:
+                agreeing = [
+                    block for block in self._blocks if abs(block - middle) <= _NOMINAL_TOLERANCE * middle
+                ]
+                self.cycle_ns = self._choose_cycle(
+                    statistics.fmean(agreeing), _NOMINAL_TOLERANCE, _MIN_INTERVALS
+                )
 
-    def _is_another(self) -> bool:
+    def _has_cycle_changed(self) -> bool:
         """Whether frames have been off the cycle for so long that the sender has another cycle.
 
         A stalling host gives many early frames and fewer late ones, with most of the time before the late
@@ -115,32 +120,38 @@ class CycleMeter:
         early, late = self._early, self._late
         unfit = _Intervals(early.count + late.count, early.cycles + late.cycles, early.time_ns + late.time_ns)
         stalls = early.count > late.count and late.time_ns > early.time_ns
-        if unfit.time_ns <= (_STALLING_NS if stalls else _PERSISTENT_NS) or unfit.count < _FEW:
+        if (
+            unfit.time_ns <= (_CHANGE_AMID_STALLS_NS if stalls else _CHANGE_NS)
+            or unfit.count < _MIN_INTERVALS
+        ):
             return False
-        if stalls and unfit.filled_by(self.cycle_ns or 0.0) >= _FILLED:
+        if stalls and unfit.filled_share(self.cycle_ns or 0.0) >= _MIN_FILLED_SHARE:
             self._early, self._late = _Intervals(), _Intervals()
             return False
         return True
 
-    def _by_first(self) -> float | None:
+    def _first_estimate(self) -> float | None:
         """The cycle from the median of the first intervals, or the DBC's if that fills the recent time."""
         middle, mean = statistics.median(self._first), statistics.fmean(self._first)
-        if self._recent.time_ns < _WATCHED_NS:
-            return self._decide(middle, _ROUGHLY, 0)
-        if abs(self._recent.filled_by(self._nominal_ns) - 1.0) <= 1.0 - _FILLED:
+        if self._recent.time_ns < _MIN_OBSERVATION_NS:
+            return self._choose_cycle(middle, _FIRST_TOLERANCE, 0)
+        if abs(self._recent.filled_share(self._nominal_ns) - 1.0) <= 1.0 - _MIN_FILLED_SHARE:
             middle = self._nominal_ns
-        is_even = abs(mean - middle) <= PROMPT * middle
-        return self._decide(middle, _ROUGHLY, len(self._first) if is_even else 0)
+        is_even = abs(mean - middle) <= PROMPT_TOLERANCE * middle
+        return self._choose_cycle(middle, _FIRST_TOLERANCE, len(self._first) if is_even else 0)
 
-    def _decide(self, measured_ns: float, tolerance: float, count: int) -> float | None:
+    def _choose_cycle(self, measured_ns: float, tolerance: float, count: int) -> float | None:
         """The DBC's cycle if the measured one agrees; else the measured one if supported; else no change."""
         if self._nominal_ns > 0.0 and abs(measured_ns - self._nominal_ns) <= tolerance * self._nominal_ns:
             self.is_nominal = True
             return self._nominal_ns
-        fills = self._recent.filled_by(measured_ns)
-        if count < _FEW or fills < _FILLED:
+        fills = self._recent.filled_share(measured_ns)
+        if count < _MIN_INTERVALS or fills < _MIN_FILLED_SHARE:
             return self.cycle_ns
-        if self.cycle_ns and abs(fills - 1.0) > abs(self._recent.filled_by(self.cycle_ns) - 1.0) + _WORSE:
+        if (
+            self.cycle_ns
+            and abs(fills - 1.0) > abs(self._recent.filled_share(self.cycle_ns) - 1.0) + _FILLED_MARGIN
+        ):
             return self.cycle_ns
         self.is_nominal = False
         return measured_ns

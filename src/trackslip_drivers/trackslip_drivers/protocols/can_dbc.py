@@ -18,17 +18,17 @@ from cantools.database import Database
 from cantools.database.errors import Error as CantoolsError
 
 from trackslip_common.errors import InputError
-from trackslip_drivers.protocols.dbc_parts import load_frames_apart
+from trackslip_drivers.protocols.dbc_parts import load_readable_frames
 
-_LARGEST = 8_000_000  # bytes; a complete J1939 DBC has about 4 million
+_MAX_FILE_SIZE = 8_000_000  # bytes; a complete J1939 DBC has about 4 million
 _LONGEST_FRAME = 1785  # bytes: limit of J1939's transport protocol; CAN FD has 64
 _MOST_BITS = 8 * _LONGEST_FRAME
 _MOST_SELECTORS = 20_000  # of all multiplexers; a nested one counts once for each path to it
-_DEEPEST = 8  # levels of nested multiplexers
+_MAX_DEPTH = 8  # levels of nested multiplexers
 _LARGEST_EXPONENT = 308  # of a double
 _LONGEST_NUMBER = 308  # digits: a double holds any such number
 
-_UNREAD = re.compile(r'"(?:\\"|[^"])*"|//.*?\n')  # strings and comments
+_STRING_OR_COMMENT = re.compile(r'"(?:\\"|[^"])*"|//.*?\n')  # strings and comments
 _FRAME = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\w+)")
 _SIGNAL = re.compile(r"\bSG_\s+(\w+)(?:\s+(m?)(\d*)(M?))?\s*:\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
 _RANGES = re.compile(r"\bSG_MUL_VAL_\s+(\d+)\s+(\w+)\s+(\w+)\s+([^;]*);")
@@ -62,15 +62,15 @@ def read_dbc(path: Path) -> Dbc:
     """
     where = f"dbc_file {path}"
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{where}: more than {_LARGEST // 10**6} MB; accepted: a DBC")
+        if path.stat().st_size > _MAX_FILE_SIZE:
+            raise InputError(f"{where}: more than {_MAX_FILE_SIZE // 10**6} MB; accepted: a DBC")
         content = path.read_bytes()
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("cp1252")  # of Windows tools
-        _check(where, _UNREAD.sub(_blank, text))
-        found = load_frames_apart(text)
+        _check_numbers(where, _STRING_OR_COMMENT.sub(_blank_text, text))
+        found = load_readable_frames(text)
     except InputError:
         raise
     except (OSError, UnicodeDecodeError, CantoolsError) as error:
@@ -85,12 +85,12 @@ def error_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _blank(found: re.Match[str]) -> str:
+def _blank_text(found: re.Match[str]) -> str:
     """Replacement of a string or a comment."""
     return '""' if found[0].startswith('"') else " "
 
 
-def _check(where: str, text: str) -> None:
+def _check_numbers(where: str, text: str) -> None:
     """Raise ``InputError`` for a number out of bounds in a DBC's text without strings and comments."""
     if (digits := _DIGITS.search(text)) is not None:
         raise InputError(f"{where}: a number of {len(digits[0])} digits; accepted: up to {_LONGEST_NUMBER}")
@@ -98,7 +98,7 @@ def _check(where: str, text: str) -> None:
         if int(number[1]) > _LARGEST_EXPONENT or math.isinf(float(number[0])):
             accepted = f"exponents up to {_LARGEST_EXPONENT}"
             raise InputError(f"{where}: the number {number[0]} is of no quantity; accepted: {accepted}")
-    selectors = _selectors(where, text)
+    selectors = _parse_selectors(where, text)
     count = 0
     heads = list(_FRAME.finditer(text))
     ends = [head.start() for head in heads[1:]] + [len(text)]
@@ -106,15 +106,15 @@ def _check(where: str, text: str) -> None:
         frame = f"{where}: frame '{head[2]}'"
         if not head[3].isdecimal() or int(head[3]) > _LONGEST_FRAME:
             raise InputError(f"{frame} of {head[3]} bytes; accepted: 0 to {_LONGEST_FRAME}")
-        signals = [_signal(frame, found) for found in _SIGNAL.finditer(text, head.end(), end)]
+        signals = [_parse_signal(frame, found) for found in _SIGNAL.finditer(text, head.end(), end)]
         if any(signal.is_multiplexer for signal in signals):
-            count += _Multiplexing(frame, signals, selectors.get(head[1], {})).count()
+            count += _MultiplexerTree(frame, signals, selectors.get(head[1], {})).count_nodes()
         if count > _MOST_SELECTORS:
             accepted = f"up to {_MOST_SELECTORS} in a DBC, below each selector again"
             raise InputError(f"{frame}: too many selectors of multiplexers; accepted: {accepted}")
 
 
-def _signal(frame: str, found: re.Match[str]) -> _Signal:
+def _parse_signal(frame: str, found: re.Match[str]) -> _Signal:
     name, multiplexed, selector, multiplexer, start, length = found.groups()
     for what, value, least in (("start bit", int(start), 0), ("length", int(length), 1)):
         if not least <= value <= _MOST_BITS:
@@ -129,7 +129,7 @@ def _signal(frame: str, found: re.Match[str]) -> _Signal:
 _Selectors = Mapping[str, Mapping[str, frozenset[int]]]  # multiplexer → signal → its selectors; "" → choices
 
 
-def _selectors(where: str, text: str) -> Mapping[str, _Selectors]:
+def _parse_selectors(where: str, text: str) -> Mapping[str, _Selectors]:
     """By frame: the selectors of ``SG_MUL_VAL_``, and the choices of ``VAL_`` under the signal name ''."""
     found: defaultdict[str, dict[str, dict[str, frozenset[int]]]] = defaultdict(dict)
     count = 0
@@ -148,7 +148,7 @@ def _selectors(where: str, text: str) -> Mapping[str, _Selectors]:
     return found
 
 
-class _Multiplexing:
+class _MultiplexerTree:
     """Counts the nodes that cantools builds below the multiplexers of a frame."""
 
     def __init__(self, frame: str, signals: list[_Signal], selectors: _Selectors) -> None:
@@ -156,29 +156,31 @@ class _Multiplexing:
         self._multiplexers = [signal.name for signal in signals if signal.is_multiplexer]
         first = self._multiplexers[0] if len(self._multiplexers) == 1 else ""
         own = {signal.name: signal.selector for signal in signals if signal.selector is not None}
-        self._below: dict[str, dict[str, frozenset[int]]] = {
+        self._signals_below: dict[str, dict[str, frozenset[int]]] = {
             name: dict(selectors.get(name, {})) for name in self._multiplexers
         }
         for name, selector in own.items() if first else ():
-            known = self._below[first].get(name, frozenset())
-            self._below[first][name] = known | {selector}
-        self._known: dict[str, int] = {}
+            known = self._signals_below[first].get(name, frozenset())
+            self._signals_below[first][name] = known | {selector}
+        self._node_counts: dict[str, int] = {}
 
-    def count(self) -> int:
+    def count_nodes(self) -> int:
         """Nodes below all outermost multiplexers."""
-        inner = {name for below in self._below.values() for name in below}
-        return sum(self._count(name, 1) for name in self._multiplexers if name not in inner)
+        inner = {name for below in self._signals_below.values() for name in below}
+        return sum(self._count_below(name, 1) for name in self._multiplexers if name not in inner)
 
-    def _count(self, name: str, depth: int) -> int:
-        if depth > _DEEPEST:
-            accepted = f"up to {_DEEPEST} in each other"
+    def _count_below(self, name: str, depth: int) -> int:
+        if depth > _MAX_DEPTH:
+            accepted = f"up to {_MAX_DEPTH} in each other"
             raise InputError(f"{self._frame}: multiplexer '{name}' is nested too deep; accepted: {accepted}")
-        if name not in self._known:
-            below = self._below[name]
+        if name not in self._node_counts:
+            below = self._signals_below[name]
             ids = frozenset[int]().union(*below.values())
-            inner = (len(below[one]) * self._count(one, depth + 1) for one in self._inner(name))
-            self._known[name] = len(ids) + sum(inner)
-        return self._known[name]
+            inner = (
+                len(below[one]) * self._count_below(one, depth + 1) for one in self._inner_multiplexers(name)
+            )
+            self._node_counts[name] = len(ids) + sum(inner)
+        return self._node_counts[name]
 
-    def _inner(self, name: str) -> Iterator[str]:
-        return (one for one in self._below[name] if one in self._below)
+    def _inner_multiplexers(self, name: str) -> Iterator[str]:
+        return (one for one in self._signals_below[name] if one in self._signals_below)

@@ -4,9 +4,9 @@
 
 from enum import Enum
 
-_CONTROLLER = 0x004  # class in the id: details in the second byte
-_BUS_OFF = 0x040
-_RESTARTED = 0x100
+_CONTROLLER_CLASS = 0x004  # class in the id: details in the second byte
+_BUS_OFF_CLASS = 0x040
+_RESTARTED_CLASS = 0x100
 
 
 class BusState(Enum):
@@ -23,9 +23,9 @@ _DETAILS = ((0x30, BusState.PASSIVE), (0x0C, BusState.WARNING), (0x40, BusState.
 
 def bus_state(arbitration_id: int, data: bytes) -> BusState | None:
     """The state that an error frame reports; None where it reports none."""
-    if arbitration_id & _BUS_OFF:
+    if arbitration_id & _BUS_OFF_CLASS:
         return BusState.OFF
-    if arbitration_id & _RESTARTED:
+    if arbitration_id & _RESTARTED_CLASS:
         return BusState.ACTIVE
-    detail = data[1] if arbitration_id & _CONTROLLER and len(data) > 1 else 0
+    detail = data[1] if arbitration_id & _CONTROLLER_CLASS and len(data) > 1 else 0
     return next((state for bits, state in _DETAILS if detail & bits), None)

@@ -37,7 +37,7 @@ BUS = "can"  # name in the tally for frames that cannot be named
 
 _EXTENDED = 1 << 29  # lower ids are data frames with 29 bits
 _FIRST_BROADCAST = 0xF0  # PDU format; below it, the next byte is a destination address
-_MOST_SENDERS = 256
+_MAX_SENDERS = 256
 _SHOWN_IDS = 8
 _ID_BITS = _EXTENDED - 1
 
@@ -68,7 +68,7 @@ class FrameSet:
             if given.protections.get(message.name, Protection()).j1939:
                 message.protocol = "j1939"
         self.bindings = Binder(contract, vehicle, dbc, roles).bind(given.roles)
-        names = {place.frame for place in self.bindings.places()}
+        names = {signal_id.frame for signal_id in self.bindings.signal_ids()}
         used = [message for message in database.messages if message.name in names]
         self.by_name = {message.name: message for message in used}
         if len(used) > len(self.by_name):
@@ -83,27 +83,29 @@ class FrameSet:
             _check_signals(f"dbc_file {dbc}: frame '{name}'", message)
             protection = given.protections.get(name, Protection())
             _check_protection(f"roles_file {roles}: frame '{name}'", message, protection)
-            self.codecs[name] = self._codec(message, protection)
+            self.codecs[name] = self._make_codec(message, protection)
         self._ids = {name: _flagged_id(message) for name, message in self.by_name.items()}
         self._by_id = {identifier: self.codecs[name] for name, identifier in self._ids.items()}
         self._by_group = {
-            _group(message.frame_id): self.codecs[name]
+            _parameter_group(message.frame_id): self.codecs[name]
             for name, message in self.by_name.items()
             if message.protocol == "j1939" and message.is_extended_frame
         }
-        self._by_own_id = {
-            _group(message.frame_id): (name, message.frame_id)
+        self._by_group_without_j1939 = {
+            _parameter_group(message.frame_id): (name, message.frame_id)
             for name, message in self.by_name.items()
             if message.protocol != "j1939" and message.is_extended_frame
         }
 
-    def _codec(self, message: Message, protection: Protection) -> Codec:
+    def _make_codec(self, message: Message, protection: Protection) -> Codec:
         raw = {
-            turned.place.signal
-            for turned in self.bindings.turned.values()
-            if turned.place.frame == message.name
+            position.signal_id.signal
+            for position in self.bindings.position_signals.values()
+            if position.signal_id.frame == message.name
         }
-        used = {place.signal for place in self.bindings.places() if place.frame == message.name}
+        used = {
+            signal_id.signal for signal_id in self.bindings.signal_ids() if signal_id.frame == message.name
+        }
         order = [signal.name for signal in message.signals if signal.name in used]
         return Codec(
             message,
@@ -112,16 +114,20 @@ class FrameSet:
             protection,
         )
 
-    def find(self, arbitration_id: int) -> Codec | None:
+    def find_codec(self, arbitration_id: int) -> Codec | None:
         """The codec of an id in the transport's format; None for frames without a role."""
         codec = self._by_id.get(arbitration_id)
         if codec is None and self._by_group and arbitration_id < _EXTENDED:
-            codec = self._by_group.get(_group(arbitration_id))
+            codec = self._by_group.get(_parameter_group(arbitration_id))
         return codec
 
     def find_other_source(self, arbitration_id: int) -> tuple[str, int] | None:
         """(name, DBC id) of the frame that differs only by source address or priority; None if none does."""
-        return self._by_own_id.get(_group(arbitration_id)) if arbitration_id < _EXTENDED else None
+        return (
+            self._by_group_without_j1939.get(_parameter_group(arbitration_id))
+            if arbitration_id < _EXTENDED
+            else None
+        )
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame; ``values`` are in the DBC's units.
@@ -139,10 +145,10 @@ def load_frames(p: CanDriverParameters) -> FrameSet:
     Raises:
         InputError: see ``FrameSet``.
     """
-    return FrameSet(_file("dbc_file", p.dbc_file), _file("roles_file", p.roles_file), p.vehicle)
+    return FrameSet(_find_file("dbc_file", p.dbc_file), _find_file("roles_file", p.roles_file), p.vehicle)
 
 
-def _file(parameter: str, name: str) -> Path:
+def _find_file(parameter: str, name: str) -> Path:
     try:
         return config_file(name)
     except InputError as error:
@@ -157,8 +163,8 @@ class FrameDecoder:
     """
 
     def __init__(self, frames: FrameSet, tally: Tally) -> None:
-        self.others = 0
-        self.others_ids: dict[int, None] = {}  # the first of them, in the transport's format
+        self.frames_without_role = 0
+        self.ids_without_role: dict[int, None] = {}  # the first of them, in the transport's format
         self.other_sources: dict[str, tuple[int, int]] = {}  # frame → its DBC id, and the id received
         self._has_role = False  # of any frame received, even if rejected
         self._frames = frames
@@ -171,38 +177,38 @@ class FrameDecoder:
         A frame whose time is ambiguous is held until later frames of its id resolve it. A rejection is
         counted and affects neither values nor times.
         """
-        codec = self._frames.find(arbitration_id)
+        codec = self._frames.find_codec(arbitration_id)
         if codec is None:
             if arbitration_id & ERROR_FLAG and not arbitration_id & STANDARD_FLAG:
                 return self._reject(BUS, Rejection.ERROR_FRAME)
-            return self._set_aside(arbitration_id)
+            return self._count_frame_without_role(arbitration_id)
         self._has_role = True
         if len(data) < codec.length or (codec.is_exact and len(data) > codec.length):
             return self._reject(codec.name, Rejection.WRONG_LENGTH)
         data = data[: codec.length]  # some senders pad to eight bytes
         little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
-        if not codec.checks(arbitration_id, little, big):
+        if not codec.has_valid_checksum(arbitration_id, little, big):
             return self._reject(codec.name, Rejection.CHECKSUM)
         if codec.has_unused_bits(little):
             return self._reject(codec.name, Rejection.UNUSED_BITS)
         values = codec.unpack(little, big)
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
-        timing = self._timings.get(arbitration_id) or self._new_timing(arbitration_id, codec)
-        return timing.add(codec.count(little, big), stamp_ns, values)
+        timing = self._timings.get(arbitration_id) or self._add_timing(arbitration_id, codec)
+        return timing.add(codec.counter_value(little, big), stamp_ns, values)
 
-    def _set_aside(self, arbitration_id: int) -> Sequence[Frame]:
+    def _count_frame_without_role(self, arbitration_id: int) -> Sequence[Frame]:
         """Count a frame without a role; note one whose id differs only by source address or priority."""
         found = self._frames.find_other_source(arbitration_id)
         if found is not None and found[1] not in self._timings:
             name, own_id = found
             self.other_sources[name] = (own_id, arbitration_id)
-        self.others += 1
-        if len(self.others_ids) < _SHOWN_IDS:
-            self.others_ids[arbitration_id] = None
+        self.frames_without_role += 1
+        if len(self.ids_without_role) < _SHOWN_IDS:
+            self.ids_without_role[arbitration_id] = None
         return ()
 
-    def other_source(self) -> str:
+    def other_source_message(self) -> str:
         """Message about a frame received only from another source address than the DBC's; or empty."""
         for name, (own_id, seen_id) in self.other_sources.items():
             if own_id not in self._timings:
@@ -212,10 +218,12 @@ class FrameDecoder:
                 return f"frame '{name}' comes as {seen}; the DBC has {own}; {remedy}"
         return ""
 
-    def ambiguous_source(self) -> str:
+    def ambiguous_source_message(self) -> str:
         """Message about a frame of several senders whose role names none of them; or empty."""
-        for frame in {place.frame for place in self._frames.bindings.places() if place.source < 0}:
-            known = {identifier: self._frames.find(identifier) for identifier in self._timings}
+        for frame in {
+            signal_id.frame for signal_id in self._frames.bindings.signal_ids() if signal_id.source < 0
+        }:
+            known = {identifier: self._frames.find_codec(identifier) for identifier in self._timings}
             of_frame = {one & 0xFF for one, codec in known.items() if codec and codec.name == frame}
             if len(of_frame) > 1:
                 sources = " and ".join(f"0x{source:02X}" for source in sorted(of_frame))
@@ -223,13 +231,13 @@ class FrameDecoder:
                 return f"frame '{frame}' comes from source addresses {sources}; {remedy}"
         return ""
 
-    def hint(self) -> str:
+    def no_role_message(self) -> str:
         """Message with the reason why no frame has a role, and the remedy; empty if unknown."""
-        if found := self.other_source():
+        if found := self.other_source_message():
             return found
-        if not self.others_ids or self._has_role:
+        if not self.ids_without_role or self._has_role:
             return ""
-        ids = ", ".join(f"0x{name & _ID_BITS:X}" for name in self.others_ids)
+        ids = ", ".join(f"0x{name & _ID_BITS:X}" for name in self.ids_without_role)
         return f"frames come (ids {ids}), but none with a role; check dbc_file and roles_file"
 
     def resume(self) -> None:
@@ -239,7 +247,7 @@ class FrameDecoder:
 
     def cycle_ns(self, name: str) -> float:
         """The longest measured cycle of a frame's senders, ns; 0 while none is known."""
-        known = [self._frames.find(identifier) for identifier in self._timings]
+        known = [self._frames.find_codec(identifier) for identifier in self._timings]
         cycles = [
             timing.cycle_ns or 0.0
             for codec, timing in zip(known, self._timings.values(), strict=True)
@@ -247,8 +255,8 @@ class FrameDecoder:
         ]
         return max(cycles, default=0.0)
 
-    def _new_timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
-        if len(self._timings) >= _MOST_SENDERS:
+    def _add_timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
+        if len(self._timings) >= _MAX_SENDERS:
             self._timings.clear()  # a bus full of random ids
         tally = self._tally
 
@@ -301,7 +309,7 @@ def _flagged_id(message: Message) -> int:
     return message.frame_id if message.is_extended_frame else message.frame_id | STANDARD_FLAG
 
 
-def _group(identifier: int) -> int:
+def _parameter_group(identifier: int) -> int:
     """Parameter group of a 29-bit id: without priority, source and destination."""
     group = identifier >> 8 & 0x3FFFF
     return group if group >> 8 & 0xFF >= _FIRST_BROADCAST else group & 0x3FF00

@@ -22,18 +22,18 @@ MOTIONS = (POSITION, SPEED, FLOW)  # of a sprocket: alternatives
 SIDES = ("left", "right")
 SWING, SUPPLY = "swing", "supply_pressure"
 
-_TURNED = (Quantity.ANGLE, Quantity.COUNT)
-_BY_SIDE: Mapping[str, tuple[Quantity, ...]] = {
-    POSITION: _TURNED,
+_POSITION_QUANTITIES = (Quantity.ANGLE, Quantity.COUNT)
+_SIDE_QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
+    POSITION: _POSITION_QUANTITIES,
     SPEED: (Quantity.ANGULAR_SPEED, Quantity.SPEED),
     FLOW: (Quantity.FLOW,),
     "pressure": (Quantity.PRESSURE,),
     "spool": (Quantity.RATIO, Quantity.PRESSURE),
 }
 ROLES: Mapping[str, tuple[Quantity, ...]] = {
-    **{f"{side}_{what}": quantities for what, quantities in _BY_SIDE.items() for side in SIDES},
+    **{f"{side}_{what}": quantities for what, quantities in _SIDE_QUANTITIES.items() for side in SIDES},
     SUPPLY: (Quantity.PRESSURE,),
-    SWING: _TURNED,
+    SWING: _POSITION_QUANTITIES,
 }
 """Name → what its signal may measure."""
 
@@ -55,11 +55,11 @@ class Role(NamedTuple):
 
 
 SPOOLS = tuple(f"{side}_spool" for side in SIDES)
-_SPOOL_ONLY = ("zero", "full")
-_TURNED_ONLY = ("counts_per_turn", "wraps_at")
-_MOTION_ONLY = ("ratio",)
-_NO_MOTION = (Quantity.PRESSURE, Quantity.RATIO)
-_SHORT = "accepted: "
+_SPOOL_KEYS = ("zero", "full")
+_POSITION_KEYS = ("counts_per_turn", "wraps_at")
+_MOTION_KEYS = ("ratio",)
+_NON_MOTION_QUANTITIES = (Quantity.PRESSURE, Quantity.RATIO)
+_ACCEPTED = "accepted: "
 
 
 class RolesFile(NamedTuple):
@@ -80,69 +80,77 @@ def read_roles(path: Path) -> RolesFile:
     check_keys(where, tree, (), ("roles", "frames"), "section")
     given, frames = (section(f"{where}: {name}", tree.get(name) or {}) for name in ("roles", "frames"))
     check_keys(where, given, (), ROLES, "role")
-    roles = {name: _role(f"{where}: role '{name}'", name, entry) for name, entry in given.items()}
+    roles = {name: _parse_role(f"{where}: role '{name}'", name, entry) for name, entry in given.items()}
     _check_sides(where, roles)
-    protections = {name: _protection(f"{where}: frame '{name}'", entry) for name, entry in frames.items()}
+    protections = {
+        name: _parse_protection(f"{where}: frame '{name}'", entry) for name, entry in frames.items()
+    }
     return RolesFile(roles, protections)
 
 
 def _check_sides(where: str, roles: Mapping[str, Role]) -> None:
     if not roles:
-        raise InputError(f"{where}: no roles; {_SHORT}{', '.join(ROLES)}")
-    for what in _BY_SIDE:
+        raise InputError(f"{where}: no roles; {_ACCEPTED}{', '.join(ROLES)}")
+    for what in _SIDE_QUANTITIES:
         left, right = (f"{side}_{what}" for side in SIDES)
         if (left in roles) != (right in roles):
             missing, there = (left, right) if right in roles else (right, left)
-            raise InputError(f"{where}: role '{missing}' is missing beside '{there}'; {_SHORT}both or none")
+            raise InputError(
+                f"{where}: role '{missing}' is missing beside '{there}'; {_ACCEPTED}both or none"
+            )
     motions = [f"left_{what}" for what in MOTIONS if f"left_{what}" in roles]
     if len(motions) > 1:
         names = ", ".join(f"'{name}'" for name in motions)
         raise InputError(
-            f"{where}: roles {names} overlap: each is the sprocket's motion; {_SHORT}one of them"
+            f"{where}: roles {names} overlap: each is the sprocket's motion; {_ACCEPTED}one of them"
         )
 
 
-def _role(where: str, name: str, entry: Any) -> Role:
+def _parse_role(where: str, name: str, entry: Any) -> Role:
     if isinstance(entry, str):
         entry = {"signal": entry}
     entry = section(where, entry)
     if "signal" not in entry:
-        raise InputError(f"{where}: 'signal' is missing; {_SHORT}FRAME.SIGNAL of the DBC")
-    is_turned = ROLES[name] == _TURNED
-    hidden = () if is_turned else _TURNED_ONLY + (_MOTION_ONLY if ROLES[name][0] in _NO_MOTION else ())
+        raise InputError(f"{where}: 'signal' is missing; {_ACCEPTED}FRAME.SIGNAL of the DBC")
+    is_position = ROLES[name] == _POSITION_QUANTITIES
+    excluded_keys = (
+        ()
+        if is_position
+        else _POSITION_KEYS + (_MOTION_KEYS if ROLES[name][0] in _NON_MOTION_QUANTITIES else ())
+    )
     if name in SPOOLS:
-        levels = {key: str(entry[key]) for key in _SPOOL_ONLY if isinstance(entry.get(key), (int, float))}
+        levels = {key: str(entry[key]) for key in _SPOOL_KEYS if isinstance(entry.get(key), (int, float))}
         entry = {**entry, **levels}
     else:
-        hidden += _SPOOL_ONLY
-    check_keys(where, entry, (), [key for key in Role._fields if key not in hidden])
-    if is_turned and "minus" in entry:
+        excluded_keys += _SPOOL_KEYS
+    check_keys(where, entry, (), [key for key in Role._fields if key not in excluded_keys])
+    if is_position and "minus" in entry:
         raise InputError(
-            f"{where}: minus: a position is one signal; {_SHORT}'minus' of pressures, speeds, flows"
+            f"{where}: minus: a position is one signal; {_ACCEPTED}'minus' of pressures, speeds, flows"
         )
     defaults = Role._field_defaults | {"signal": ""}
-    role = Role(**{key: _typed(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
+    role = Role(**{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
     if role.sign not in (1, -1):
-        raise InputError(f"{where}: sign: {role.sign} is out of range; {_SHORT}1 or -1")
-    for key in ("ratio", *_TURNED_ONLY):
+        raise InputError(f"{where}: sign: {role.sign} is out of range; {_ACCEPTED}1 or -1")
+    for key in ("ratio", *_POSITION_KEYS):
         if key in entry and not 0.0 < getattr(role, key) < 1e12:
-            raise InputError(f"{where}: {key}: {getattr(role, key):g} is out of range; {_SHORT}> 0")
+            raise InputError(f"{where}: {key}: {getattr(role, key):g} is out of range; {_ACCEPTED}> 0")
     if "source" in entry and not 0 <= role.source <= 0xFF:
-        raise InputError(f"{where}: source: {role.source} is out of range; {_SHORT}0 to 255")
+        raise InputError(f"{where}: source: {role.source} is out of range; {_ACCEPTED}0 to 255")
     return role
 
 
-def _protection(where: str, entry: Any) -> Protection:
+def _parse_protection(where: str, entry: Any) -> Protection:
     entry, defaults = section(where, entry), Protection._field_defaults
     check_keys(where, entry, (), Protection._fields)
-    found = Protection(**{key: _typed(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
+    found = Protection(**{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
     if found.checksum and found.checksum_type not in CHECKSUMS:
         raise InputError(
-            f"{where}: checksum_type: '{found.checksum_type}' is unknown; {_SHORT}{', '.join(CHECKSUMS)}"
+            f"{where}: checksum_type: '{found.checksum_type}' is unknown; {_ACCEPTED}{', '.join(CHECKSUMS)}"
         )
     return found
 
 
-def _typed(where: str, value: Any, default: Any) -> Any:
+def _convert_value(where: str, value: Any, default: Any) -> Any:
     """The value, converted to the type of the key's default."""
     return coerced(where, value, type(default), Spec(""))

@@ -19,14 +19,16 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from trackslip_drivers.protocols.can_codec import Value
-from trackslip_drivers.protocols.can_cycle import PROMPT, CycleMeter
+from trackslip_drivers.protocols.can_cycle import PROMPT_TOLERANCE, CycleMeter
 from trackslip_drivers.stamping import PeriodicStamps
 
 _TURN_SHARE = 0.75  # of a turn of the counter: lateness from which one more turn may be lost
-_MOST_HELD = 300  # frames; a longer burst comes only from a sender whose cycle has changed
-_PAUSE = 2.5  # cycles: a longer silence may end in a burst, if the sender has no counter
+_MAX_HELD_FRAMES = 300  # frames; a longer burst comes only from a sender whose cycle has changed
+_PAUSE_CYCLES = 2.5  # cycles: a longer silence may end in a burst, if the sender has no counter
 _PATIENCE = 200  # frames, of ``PeriodicStamps``
-_STATED, _MEASURED, _UNCOUNTED = 1e-3, 0.02, 0.1  # relative tolerance of a cycle: DBC's; measured; no counter
+_NOMINAL_TOLERANCE = 1e-3  # relative, of the DBC's cycle
+_MEASURED_TOLERANCE = 0.02  # relative, of a measured cycle
+_UNCOUNTED_TOLERANCE = 0.1  # relative, of a cycle without a counter
 
 
 class TimingEvent(Enum):
@@ -57,7 +59,7 @@ class _Arrival(NamedTuple):
     number: int = 0  # the sender's counter
 
 
-class _Step(NamedTuple):
+class _HeldFrame(NamedTuple):
     """A held frame relative to the one before, by the counter without lost turns."""
 
     frame: _Arrival
@@ -97,7 +99,7 @@ class FrameTiming(ABC):
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """Add a frame that passed all checks; returns the frames whose times are known now."""
 
-    def _place(self, arrival_ns: int, values: Mapping[str, Value], cycles: int | None) -> Frame:
+    def _timed_frame(self, arrival_ns: int, values: Mapping[str, Value], cycles: int | None) -> Frame:
         """The frame with its times; ``cycles`` since the last one: 0 if unknown, None without a counter."""
         cycle_ns = self._meter.cycle_ns
         stamp_ns = self._stamp(arrival_ns, cycles)
@@ -112,9 +114,9 @@ class FrameTiming(ABC):
         cycle_ns = self._meter.cycle_ns
         if not cycle_ns:
             return arrival_ns
-        if self._filter is None or abs(cycle_ns / self._filter_ns - 1.0) > 0.1 * _MEASURED:
-            tolerance = _STATED if self._meter.is_nominal else _MEASURED
-            tolerance = tolerance if cycles is not None else _UNCOUNTED
+        if self._filter is None or abs(cycle_ns / self._filter_ns - 1.0) > 0.1 * _MEASURED_TOLERANCE:
+            tolerance = _NOMINAL_TOLERANCE if self._meter.is_nominal else _MEASURED_TOLERANCE
+            tolerance = tolerance if cycles is not None else _UNCOUNTED_TOLERANCE
             self._filter, self._filter_ns = PeriodicStamps(cycle_ns, tolerance, _PATIENCE), cycle_ns
             if self._accepted_ns is not None:
                 self._filter.filter(self._stamp_ns, 0)
@@ -133,7 +135,7 @@ class CountedFrames(FrameTiming):
         super().__init__(nominal_ns, report, name, source)
         self._modulus = modulus
         self._count: int | None = None
-        self._held: list[_Step] = []
+        self._held: list[_HeldFrame] = []
 
     def resume(self) -> None:
         """Also drop the frames held, and report them."""
@@ -148,65 +150,65 @@ class CountedFrames(FrameTiming):
         placed = []
         if self._held:
             last = self._held[-1].frame
-            cycles, late = self._since(last.number, last.arrival_ns, count, arrival_ns)
-            if not self._turns(late):
-                self._held.append(_Step(_Arrival(arrival_ns, values, count), cycles, late))
-                return self._settle() if self._has_caught_up() else []
-            placed = self._settle()
+            cycles, late = self._cycles_since(last.number, last.arrival_ns, count, arrival_ns)
+            if not self._possible_turns(late):
+                self._held.append(_HeldFrame(_Arrival(arrival_ns, values, count), cycles, late))
+                return self._release_held() if self._has_caught_up() else []
+            placed = self._release_held()
         if self._accepted_ns is None or self._count is None:
-            return [self._accept(arrival_ns, values, count, 0)]
+            return [self._accept_frame(arrival_ns, values, count, 0)]
         # A repeated count is timed from the last frame seen: a stuck counter never looks like a lost turn.
         since_ns = self._seen_ns if count == self._count else self._accepted_ns
-        cycles, late = self._since(self._count, since_ns, count, arrival_ns)
+        cycles, late = self._cycles_since(self._count, since_ns, count, arrival_ns)
         self._seen_ns = arrival_ns
-        if self._turns(late):
-            self._held = [_Step(_Arrival(arrival_ns, values, count), cycles, late)]
+        if self._possible_turns(late):
+            self._held = [_HeldFrame(_Arrival(arrival_ns, values, count), cycles, late)]
         elif cycles:
-            placed.append(self._accept(arrival_ns, values, count, cycles))
+            placed.append(self._accept_frame(arrival_ns, values, count, cycles))
         else:
             self._report(TimingEvent.ALIVE_REPEATED, 1)
         return placed
 
-    def _since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
+    def _cycles_since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
         """(cycles between two frames by their counts, cycles by which the second arrived later than that)."""
         cycles, cycle_ns = (count - before) % self._modulus, self._meter.cycle_ns
         return cycles, (arrival_ns - before_ns) / cycle_ns - cycles if cycle_ns else 0.0
 
-    def _turns(self, late: float) -> int:
+    def _possible_turns(self, late: float) -> int:
         """Turns of the counter that may be lost at a lateness in cycles."""
         return max(0, int(late / self._modulus + (1.0 - _TURN_SHARE)))
 
-    def _turns_lost(self) -> int:
-        """Turns lost, from the least late of the frames held."""
-        return self._turns(min(accumulate(step.late for step in self._held)))
+    def _lost_turns(self) -> int:
+        """Lost turns of the counter, from the least late of the held frames."""
+        return self._possible_turns(min(accumulate(step.late for step in self._held)))
 
     def _has_caught_up(self) -> bool:
-        """Whether to place the held frames: no turn was lost, or the last two came at a normal interval."""
+        """Whether the held frames can be timed: no turn was lost, or the last two came normally."""
         times = [step.frame.arrival_ns for step in self._held[-3:]]
-        apart = PROMPT * (self._meter.cycle_ns or 0.0)
-        is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= apart
-        return is_prompt or not self._turns_lost() or len(self._held) >= _MOST_HELD
+        min_interval_ns = PROMPT_TOLERANCE * (self._meter.cycle_ns or 0.0)
+        is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= min_interval_ns
+        return is_prompt or not self._lost_turns() or len(self._held) >= _MAX_HELD_FRAMES
 
-    def _settle(self) -> list[Frame]:
-        """Place the frames held, the first of them after the turns lost."""
-        turns, placed = self._turns_lost(), []
+    def _release_held(self) -> list[Frame]:
+        """Return the held frames with their times, the first of them after the lost turns."""
+        turns, placed = self._lost_turns(), []
         for step in self._held:
             if step.cycles or turns:
-                placed.append(self._accept(*step.frame, step.cycles + turns * self._modulus))
+                placed.append(self._accept_frame(*step.frame, step.cycles + turns * self._modulus))
             else:
                 self._report(TimingEvent.ALIVE_REPEATED, 1)
             turns = 0
         self._held = []
         return placed
 
-    def _accept(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
-        """Place a frame ``cycles`` after the previous one (0: unknown); reports frames lost between."""
+    def _accept_frame(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
+        """Time a frame ``cycles`` after the previous one (0: unknown); reports frames lost between."""
         if cycles > 1:
             self._report(TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
             self._meter.add(arrival_ns - self._accepted_ns, cycles)
         self._count, self._seen_ns = count, arrival_ns
-        return self._place(arrival_ns, values, cycles)
+        return self._timed_frame(arrival_ns, values, cycles)
 
 
 class UncountedFrames(FrameTiming):
@@ -228,14 +230,16 @@ class UncountedFrames(FrameTiming):
         frame = _Arrival(arrival_ns, values)
         since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns
         if self._accepted_ns is None:
-            return [self._place(arrival_ns, values, None)]
+            return [self._timed_frame(arrival_ns, values, None)]
         self._meter.add(since_ns, 1)
         cycle_ns = self._meter.cycle_ns
-        if cycle_ns and 0 <= since_ns < PROMPT * cycle_ns:
+        if cycle_ns and 0 <= since_ns < PROMPT_TOLERANCE * cycle_ns:
             self._report(TimingEvent.BURST, 1)
             if self._held:
                 self._held = frame
             return []
-        placed = [] if self._held is None else [self._place(self._held.arrival_ns, self._held.values, None)]
-        self._held = frame if cycle_ns and since_ns > _PAUSE * cycle_ns else None
-        return placed if self._held else [*placed, self._place(arrival_ns, values, None)]
+        placed = (
+            [] if self._held is None else [self._timed_frame(self._held.arrival_ns, self._held.values, None)]
+        )
+        self._held = frame if cycle_ns and since_ns > _PAUSE_CYCLES * cycle_ns else None
+        return placed if self._held else [*placed, self._timed_frame(arrival_ns, values, None)]

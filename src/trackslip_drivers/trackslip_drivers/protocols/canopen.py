@@ -15,7 +15,7 @@ _BOOT_UP = b"\x00"
 _PRE_OPERATIONAL = 0x7F  # state in a heartbeat
 
 
-def start_of(arbitration_id: int, data: bytes) -> tuple[int, bytes] | None:
+def start_command(arbitration_id: int, data: bytes) -> tuple[int, bytes] | None:
     """The frame that starts a waiting node; None if this frame reports no waiting node.
 
     Args:

@@ -15,32 +15,32 @@ from typing import NamedTuple
 import cantools
 from cantools.database import Database
 
-_MOST_BAD = 100  # frames left out, after which bisection stops: the text is no DBC
-_TEXT = re.compile(r'"(?:\\"|[^"])*"')
+_MAX_BAD_FRAMES = 100  # frames left out, after which bisection stops: the text is no DBC
+_STRING = re.compile(r'"(?:\\"|[^"])*"')
 _STATEMENT = re.compile(
     r"^[ \t]*(?:BO_|CM_|VAL_|BA_|SG_MUL_VAL_|SIG_VALTYPE_|BO_TX_BU_|SIG_GROUP_|BA_DEF_|BA_DEF_DEF_|EV_)\s",
     re.MULTILINE,
 )
 _FRAME = re.compile(r"\s*BO_\s+(\d+)\s+(\w+)")
-_ABOUT = re.compile(
+_FRAME_STATEMENT = re.compile(
     r'\s*(?:CM_\s+(?:BO_|SG_)|VAL_|BA_\s+"[^"]*"\s+(?:BO_|SG_)|SG_MUL_VAL_|SIG_VALTYPE_|BO_TX_BU_|SIG_GROUP_)'
     r"\s+(\d+)\b"
 )
-_MEANING = re.compile(r"\s*(?:SG_MUL_VAL_|SIG_VALTYPE_)\s")
+_SIGNAL_DEFINITION = re.compile(r"\s*(?:SG_MUL_VAL_|SIG_VALTYPE_)\s")
 
 
-class _Part(NamedTuple):
+class _FrameText(NamedTuple):
     """One frame, and the statements about it."""
 
     name: str
     frame: str
-    about: Sequence[str]
+    statements: Sequence[str]
 
     def text(self) -> str:
-        return self.frame + "\n" + "\n".join(self.about) + "\n"
+        return self.frame + "\n" + "\n".join(self.statements) + "\n"
 
 
-def load_frames_apart(text: str) -> tuple[Database, Mapping[str, str]]:
+def load_readable_frames(text: str) -> tuple[Database, Mapping[str, str]]:
     """The readable frames of a DBC, and the reason for each frame left out, by name.
 
     Raises:
@@ -49,7 +49,7 @@ def load_frames_apart(text: str) -> tuple[Database, Mapping[str, str]]:
     try:
         return _load(text), {}
     except Exception:
-        shared, parts = _apart(text)
+        shared, parts = _split_frames(text)
         try:
             _load(shared)
         except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
@@ -57,7 +57,7 @@ def load_frames_apart(text: str) -> tuple[Database, Mapping[str, str]]:
         if not parts:
             raise
         left_out: dict[str, str] = {}
-        good = _good(shared, parts, left_out)
+        good = _loadable_frames(shared, parts, left_out)
         if not good:
             raise
         return _load(shared + "\n" + "".join(part.text() for part in good)), left_out
@@ -70,55 +70,61 @@ def _load(text: str) -> Database:
     return found
 
 
-def _apart(text: str) -> tuple[str, list[_Part]]:
+def _split_frames(text: str) -> tuple[str, list[_FrameText]]:
     """(text shared by all frames, the frames)."""
-    blank = _TEXT.sub(lambda found: '"' + "x" * (len(found[0]) - 2) + '"', text)  # hides keywords in strings
+    blank = _STRING.sub(
+        lambda found: '"' + "x" * (len(found[0]) - 2) + '"', text
+    )  # hides keywords in strings
     starts = [found.start() for found in _STATEMENT.finditer(blank)]
     pieces = [text[start:end] for start, end in zip([0, *starts], [*starts, len(text)], strict=True)]
     frames: dict[str, tuple[str, str]] = {}
-    about: defaultdict[str, list[str]] = defaultdict(list)
+    statements: defaultdict[str, list[str]] = defaultdict(list)
     shared = []
     for piece in pieces:
         if (frame := _FRAME.match(piece)) is not None:
             frames[frame[1]] = (frame[2], piece)
-        elif (found := _ABOUT.match(piece)) is not None:
-            about[found[1]].append(piece)
+        elif (found := _FRAME_STATEMENT.match(piece)) is not None:
+            statements[found[1]].append(piece)
         else:
             shared.append(piece)
-    return "".join(shared), [_Part(name, piece, about[key]) for key, (name, piece) in frames.items()]
+    return "".join(shared), [
+        _FrameText(name, piece, statements[key]) for key, (name, piece) in frames.items()
+    ]
 
 
-def _good(shared: str, parts: Sequence[_Part], left_out: dict[str, str]) -> list[_Part]:
+def _loadable_frames(shared: str, parts: Sequence[_FrameText], left_out: dict[str, str]) -> list[_FrameText]:
     """The parts that load, found by bisection; the others are added to ``left_out``."""
     try:
         _load(shared + "\n" + "".join(part.text() for part in parts))
         return list(parts)
     except Exception as error:  # noqa: BLE001 (damaged text can raise anything in the parser)
-        if len(parts) > 1 and len(left_out) <= _MOST_BAD:
+        if len(parts) > 1 and len(left_out) <= _MAX_BAD_FRAMES:
             middle = len(parts) // 2
-            return _good(shared, parts[:middle], left_out) + _good(shared, parts[middle:], left_out)
-        reduced = None if len(parts) > 1 else _without_bad_texts(shared, parts[0])
+            return _loadable_frames(shared, parts[:middle], left_out) + _loadable_frames(
+                shared, parts[middle:], left_out
+            )
+        reduced = None if len(parts) > 1 else _drop_bad_statements(shared, parts[0])
         if reduced is not None:
             return [reduced]
         left_out |= {part.name: " ".join(str(error).split()) or type(error).__name__ for part in parts}
         return []
 
 
-def _without_bad_texts(shared: str, part: _Part) -> _Part | None:
+def _drop_bad_statements(shared: str, part: _FrameText) -> _FrameText | None:
     """A frame without the choices, comments and attributes that fail; None if the frame itself fails."""
     kept: list[str] = []
     for piece in (
-        *(p for p in part.about if _MEANING.match(p)),
-        *(p for p in part.about if not _MEANING.match(p)),
+        *(p for p in part.statements if _SIGNAL_DEFINITION.match(p)),
+        *(p for p in part.statements if not _SIGNAL_DEFINITION.match(p)),
     ):
         try:
-            _load(shared + "\n" + _Part(part.name, part.frame, [*kept, piece]).text())
+            _load(shared + "\n" + _FrameText(part.name, part.frame, [*kept, piece]).text())
             kept.append(piece)
         except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
-            if _MEANING.match(piece):
+            if _SIGNAL_DEFINITION.match(piece):
                 return None
     try:
-        _load(shared + "\n" + _Part(part.name, part.frame, kept).text())
+        _load(shared + "\n" + _FrameText(part.name, part.frame, kept).text())
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None
-    return part._replace(about=kept)
+    return part._replace(statements=kept)

@@ -16,7 +16,7 @@ the stamp. Distance is conserved: the integral of the velocity over a run equals
 After a silence in which the encoder may turn by M/2 or more, the distance is n + k M with k unknown. The
 distance nearest to the silence times the mean of the velocities before and after is chosen. If the residual
 exceeds M/4, or the mean may be wrong by 3/4 M over the silence, the distance is unknown: one reading has no
-position (BROKEN), and the next continues from there.
+position (DISTANCE_UNKNOWN), and the next continues from there.
 """
 
 import math
@@ -28,13 +28,13 @@ _NS_PER_S = 1e9
 
 
 class EncoderEvent(Enum):
-    """Why a reading gave no motion; BROKEN: a velocity without a position."""
+    """Reason why a reading gave no motion; DISTANCE_UNKNOWN: a velocity without a position."""
 
     STARTED = "first reading"
     RESTARTED = "restarted after silence"  # of a length that allows half a turn of the encoder
     JUMP = "jump"  # further than the sprocket can turn
     SIMULTANEOUS = "same time as the last reading"
-    BROKEN = "turned unseen"  # the distance from the previous position is unknown
+    DISTANCE_UNKNOWN = "turned unseen"  # the distance from the previous position is unknown
 
 
 class Motion(NamedTuple):
@@ -68,54 +68,54 @@ class SprocketEncoder:
         self._steps_per_ns = max_speed / abs(rad_per_step) / _NS_PER_S
         self._raw: float | None = None  # the last raw position used
         self._unwrapped = 0.0
-        self._now = 0  # ns since the start
-        self._silent = 0  # ns since the last reading used
+        self._now_ns = 0  # ns since the start
+        self._silent_ns = 0  # ns since the last reading used
         self._velocity: float | None = None  # steps/ns
         self._silence: _Silence | None = None
-        self._broken = False
-        self._jumped = False
+        self._is_distance_unknown = False
+        self._has_jumped = False
         self._history: deque[tuple[int, float]] = deque(maxlen=window)  # (time, unwrapped)
 
     def update(self, raw: float, elapsed_ns: int) -> Motion | EncoderEvent:
         """The motion after a reading, taken ``elapsed_ns`` of the sender's time after the previous one."""
-        self._now += elapsed_ns
-        self._silent += elapsed_ns
+        self._now_ns += elapsed_ns
+        self._silent_ns += elapsed_ns
         if self._raw is None:
             self._unwrapped = raw
             return self._restart(raw, EncoderEvent.STARTED)
-        if self._silent <= 0:
+        if self._silent_ns <= 0:
             return EncoderEvent.SIMULTANEOUS
         half = self._wrap / 2
         moved = (raw - self._raw + half) % self._wrap - half
-        reach = self._steps_per_ns * self._silent + 1.0  # one step of quantisation
+        reach = self._steps_per_ns * self._silent_ns + 1.0  # one step of quantisation
         if reach >= half:
-            return self._begin_again(raw, moved)
+            return self._restart_after_silence(raw, moved)
         if abs(moved) > reach:
-            self._jumped = True
+            self._has_jumped = True
             return EncoderEvent.JUMP
         self._unwrapped += moved
-        self._commit(raw)
+        self._store_reading(raw)
         self._velocity = self._slope()
         if self._silence is not None:
-            self._bridge(self._silence)
+            self._resolve_silence(self._silence)
         return self._motion(self._velocity)
 
     def _motion(self, velocity: float) -> Motion:
-        position = math.nan if self._broken else self._unwrapped * self._rad_per_step
-        self._broken = False
+        position = math.nan if self._is_distance_unknown else self._unwrapped * self._rad_per_step
+        self._is_distance_unknown = False
         return Motion(position, velocity * _NS_PER_S * self._rad_per_step)
 
-    def _begin_again(self, raw: float, moved: float) -> EncoderEvent:
+    def _restart_after_silence(self, raw: float, moved: float) -> EncoderEvent:
         """Restart after a long silence; the next reading resolves the distance turned in it."""
-        is_certain = self._velocity is not None and self._silence is None and not self._jumped
+        is_certain = self._velocity is not None and self._silence is None and not self._has_jumped
         if is_certain and self._velocity is not None:
-            self._silence = _Silence(self._silent, self._velocity, moved)
+            self._silence = _Silence(self._silent_ns, self._velocity, moved)
         else:
-            self._silence, self._broken = None, True
+            self._silence, self._is_distance_unknown = None, True
         self._unwrapped += moved
         return self._restart(raw, EncoderEvent.RESTARTED)
 
-    def _bridge(self, silence: _Silence) -> None:
+    def _resolve_silence(self, silence: _Silence) -> None:
         """Choose the whole turns of a silence from the velocities before and after it."""
         assert self._velocity is not None
         self._silence = None
@@ -124,7 +124,7 @@ class SprocketEncoder:
         residual = abs(silence.turned + turns * self._wrap - expected)
         tolerance = 0.5 * self._steps_per_ns * silence.elapsed_ns  # bound on the error of ``expected``
         if residual > self._wrap / 4 or tolerance > 0.75 * self._wrap:
-            self._broken = True
+            self._is_distance_unknown = True
             return
         self._unwrapped += turns * self._wrap
         self._history = deque(
@@ -135,18 +135,18 @@ class SprocketEncoder:
     def _restart(self, raw: float, event: EncoderEvent) -> EncoderEvent:
         self._history.clear()
         self._velocity = None
-        self._commit(raw)
+        self._store_reading(raw)
         return event
 
-    def _commit(self, raw: float) -> None:
+    def _store_reading(self, raw: float) -> None:
         self._raw = raw
-        self._silent = 0
-        self._jumped = False
-        self._history.append((self._now, self._unwrapped))
+        self._silent_ns = 0
+        self._has_jumped = False
+        self._history.append((self._now_ns, self._unwrapped))
 
     def _slope(self) -> float:
         """Slope of the least-squares line through the window, steps/ns."""
-        n, now, newest = len(self._history), self._now, self._unwrapped
+        n, now, newest = len(self._history), self._now_ns, self._unwrapped
         x_sum = xx_sum = 0
         y_sum = xy_sum = 0.0  # relative to the newest reading: exact for whole steps
         for time, unwrapped in self._history:

@@ -16,7 +16,7 @@ from enum import Enum
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_binding import Place, Turned
+from trackslip_drivers.protocols.can_binding import PositionSignal, SignalId
 from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_frames import FrameDecoder, FrameSet, Rejection
 from trackslip_drivers.protocols.can_roles import MOTIONS, SIDES, SUPPLY, SWING
@@ -31,7 +31,7 @@ _NS_PER_S = 1_000_000_000
 _NEVER_NS = -(2**62)  # before all stamps
 _SPOOLS = tuple(f"{side}_spool" for side in SIDES)
 _PRESSURES = tuple(f"{side}_pressure" for side in SIDES)
-_LEVELS = (*_PRESSURES, *_SPOOLS, SUPPLY)
+_HYDRAULIC_ROLES = (*_PRESSURES, *_SPOOLS, SUPPLY)
 
 
 class PairingRejection(Enum):
@@ -92,8 +92,8 @@ class _Reading:
     """The newest value of a signal."""
 
     role: str
-    place: Place
-    leads: bool
+    signal_id: SignalId
+    is_leading: bool
     encoder: SprocketEncoder | None  # for positions
     motion: Motion | EncoderEvent = EncoderEvent.STARTED  # from the encoder
     value: Value = math.nan
@@ -113,32 +113,40 @@ class _Output(ABC):
         self.tally = tally
         self._timeout_ns = round(p.pairing_timeout * _NS_PER_S)
         bindings = frames.bindings
-        scaled = {r: bindings.scaled[r] for r in (*self.leading, *self.others) if r in bindings.scaled}
-        self.turned = {r: bindings.turned[r] for r in self.leading if r in bindings.turned}
-        places = {role: [part.place for part in parts] for role, parts in scaled.items()}
-        places |= {role: [turned.place] for role, turned in self.turned.items()}
-        encoders = {role: _encoder(turned, p) for role, turned in self.turned.items()}
+        scaled = {
+            r: bindings.scaled_signals[r]
+            for r in (*self.leading, *self.others)
+            if r in bindings.scaled_signals
+        }
+        self.position_signals = {
+            r: bindings.position_signals[r] for r in self.leading if r in bindings.position_signals
+        }
+        signal_ids = {role: [part.signal_id for part in parts] for role, parts in scaled.items()}
+        signal_ids |= {role: [position.signal_id] for role, position in self.position_signals.items()}
+        encoders = {role: _make_encoder(position, p) for role, position in self.position_signals.items()}
         self.readings = {
-            role: [_Reading(role, place, role in self.leading, encoders.get(role)) for place in of_role]
-            for role, of_role in places.items()
+            role: [
+                _Reading(role, signal_id, role in self.leading, encoders.get(role)) for signal_id in of_role
+            ]
+            for role, of_role in signal_ids.items()
         }
         self._parts = {role: tuple(zip(self.readings[role], scaled[role], strict=True)) for role in scaled}
         every = [reading for readings in self.readings.values() for reading in readings]
-        self._leading = [reading for reading in every if reading.leads]
-        self._others = [reading for reading in every if not reading.leads]
+        self._leading = [reading for reading in every if reading.is_leading]
+        self._others = [reading for reading in every if not reading.is_leading]
         self._missing = len(self._leading)  # leading readings not received since the previous sample
-        self.leading_frames = {reading.place.frame for reading in self._leading}
+        self.leading_frames = {reading.signal_id.frame for reading in self._leading}
         self._by_frame: defaultdict[str, list[_Reading]] = defaultdict(list)
         for reading in every:
-            self._by_frame[reading.place.frame].append(reading)
+            self._by_frame[reading.signal_id.frame].append(reading)
         self.frames = self._by_frame.keys()
 
     def receive(self, frame: Frame) -> Sample | None:
         """Store the values of a frame; returns the sample if the frame completes one."""
         name, source, stamp_ns, elapsed_ns, values = frame
-        has_come = False
+        has_leading = False
         for reading in self._by_frame[name]:
-            _, signal, sender = reading.place
+            _, signal, sender = reading.signal_id
             if sender not in (-1, source):
                 continue
             reading.elapsed_ns += elapsed_ns
@@ -148,15 +156,15 @@ class _Output(ABC):
             reading.value, reading.stamp_ns = value, stamp_ns
             if reading.encoder is not None:
                 reading.motion = reading.encoder.update(value, reading.elapsed_ns)
-                self._count_trouble(reading)
+                self._count_encoder_event(reading)
             reading.elapsed_ns = 0
-            if reading.leads:
-                has_come = True
+            if reading.is_leading:
+                has_leading = True
                 self._missing -= not reading.is_fresh
                 reading.is_fresh = True
-        return self._completed() if has_come and not self._missing else None
+        return self._complete_sample() if has_leading and not self._missing else None
 
-    def _completed(self) -> Sample | None:
+    def _complete_sample(self) -> Sample | None:
         """The sample of the leading values, all of them present; None if another value is too old."""
         for reading in self._leading:
             reading.is_fresh = False
@@ -166,35 +174,35 @@ class _Output(ABC):
             if abs(stamp_ns - reading.stamp_ns) > self._timeout_ns:
                 self.tally.add(self.kind.__name__, PairingRejection.TOO_OLD)
                 return None
-        return self.make(stamp_ns)
+        return self.make_sample(stamp_ns)
 
-    def si(self, role: str) -> float:
+    def si_value(self, role: str) -> float:
         """The value of a role in SI; nan if the role has no signal."""
         parts = self._parts.get(role)
         if not parts:
             return math.nan
         total = 0.0
         for reading, part in parts:
-            total += part.si(reading.value)
+            total += part.si_value(reading.value)
         return total
 
-    def _count_trouble(self, reading: _Reading) -> None:
+    def _count_encoder_event(self, reading: _Reading) -> None:
         """Count an encoder event, or a motion without a position."""
         event = reading.motion
         if isinstance(event, Motion):
             if not math.isnan(event.position):
                 return
-            event = EncoderEvent.BROKEN
+            event = EncoderEvent.DISTANCE_UNKNOWN
         self.tally.add(f"{reading.role.removesuffix('_position')}_encoder", event)
 
     @abstractmethod
-    def make(self, stamp_ns: int) -> Sample | None:
+    def make_sample(self, stamp_ns: int) -> Sample | None:
         """A sample of the present values, or None."""
 
 
-def _encoder(turned: Turned, p: CanDriverParameters) -> SprocketEncoder:
+def _make_encoder(position: PositionSignal, p: CanDriverParameters) -> SprocketEncoder:
     return SprocketEncoder(
-        turned.rad_per_step, turned.steps_per_wrap, p.max_sprocket_speed, p.velocity_window
+        position.rad_per_step, position.steps_per_wrap, p.max_sprocket_speed, p.velocity_window
     )
 
 
@@ -206,12 +214,12 @@ class _Sprockets(_Output):
         super().__init__(p, frames, tally)
         self._sides = sorted(self.readings)  # left before right
 
-    def make(self, stamp_ns: int) -> SprocketSample | None:
+    def make_sample(self, stamp_ns: int) -> SprocketSample | None:
         """Both sprockets, or None while either has no motion."""
         sides = []
         for role in self._sides:
             reading = self.readings[role][0]
-            motion = reading.motion if reading.encoder else Motion(math.nan, self.si(role))
+            motion = reading.motion if reading.encoder else Motion(math.nan, self.si_value(role))
             if isinstance(motion, EncoderEvent):
                 return None
             later = (stamp_ns - reading.stamp_ns) / _NS_PER_S
@@ -227,23 +235,23 @@ class _Hydraulics(_Output):
 
     def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
         levels = (_PRESSURES, _SPOOLS, (SUPPLY,))
-        there = [level for level in levels if level[0] in frames.roles]
-        self.leading, self.others = there[0], tuple(role for level in there[1:] for role in level)
+        present = [level for level in levels if level[0] in frames.roles]
+        self.leading, self.others = present[0], tuple(role for level in present[1:] for role in level)
         super().__init__(p, frames, tally)
 
-    def make(self, stamp_ns: int) -> HydraulicsSample:
+    def make_sample(self, stamp_ns: int) -> HydraulicsSample:
         """Pressures and spools."""
-        return HydraulicsSample(stamp_ns, *map(self.si, _LEVELS))
+        return HydraulicsSample(stamp_ns, *map(self.si_value, _HYDRAULIC_ROLES))
 
 
 class _Swing(_Output):
     kind = SwingSample
     leading = (SWING,)
 
-    def make(self, stamp_ns: int) -> SwingSample | None:
+    def make_sample(self, stamp_ns: int) -> SwingSample | None:
         """The absolute angle in [−π, π] and its velocity; None while there is no velocity."""
-        (reading,), turned = self.readings[SWING], self.turned[SWING]
+        (reading,), position = self.readings[SWING], self.position_signals[SWING]
         if isinstance(reading.motion, EncoderEvent):
             return None
-        angle = (reading.value - turned.zero_steps) * turned.rad_per_step
+        angle = (reading.value - position.zero_steps) * position.rad_per_step
         return SwingSample(stamp_ns, math.remainder(angle, 2.0 * math.pi), reading.motion.velocity)

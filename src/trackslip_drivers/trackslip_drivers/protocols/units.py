@@ -75,6 +75,6 @@ UNITS: Mapping[str, Unit] = {
 }
 
 
-def accepted(quantities: tuple[Quantity, ...]) -> str:
+def accepted_units(quantities: tuple[Quantity, ...]) -> str:
     """The units of these quantities, for messages."""
     return ", ".join(name for kind in quantities for name, unit in UNITS.items() if unit.quantity is kind)
