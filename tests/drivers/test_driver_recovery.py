@@ -16,7 +16,7 @@ from trackslip_drivers.protocols.can_frames import FrameDecoder, Rejection
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.protocols.sick_scan import RawScan
 from trackslip_drivers.protocols.sick_session import SickSession
-from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, Telegram, TelegramParser, frame
+from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, Telegram, TelegramParser, make_telegram
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import IMU, WatsonStream
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
@@ -180,7 +180,7 @@ def test_no_wrong_telegram_passes_one_percent_of_corruption():
         payload = RawScan(random.integers(0, 1 << 13, count).astype(np.uint16), 0).payload()
         true.add(payload)
         now += 240 * MS
-        accepted += parser.feed(corrupt(frame(payload, FROM_SENSOR), 0.01, random), now)
+        accepted += parser.feed(corrupt(make_telegram(payload, FROM_SENSOR), 0.01, random), now)
     telegrams = [event.payload for event in accepted if isinstance(event, Telegram)]
     assert len(telegrams) > 1000
     assert set(telegrams) <= true

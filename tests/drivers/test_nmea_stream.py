@@ -127,7 +127,7 @@ def test_heading_in_two_sentences_is_used_once_with_its_accuracy(encoders, stdde
     assert len(headings) == len(EPOCHS)
     assert [s.stddev for s in headings[1:]] == pytest.approx([stddev] * (len(EPOCHS) - 1))
     assert np.diff([s.stamp_ns for s in headings[1:]]) == pytest.approx(S / 10, abs=MS)
-    assert parser.repeated > 0
+    assert parser.duplicates > 0
     assert not parser.tally.total
 
 
@@ -151,7 +151,7 @@ def test_change_of_talker_loses_no_fix():
     later = [EPOCHS[-1] + k * S // 10 for k in range(1, 51)]
     fixes = received(parser, EPOCHS, (gpgga,)) + received(parser, later, (gga,), first=50)
     assert len(fixes) == 100
-    assert parser.repeated == 0
+    assert parser.duplicates == 0
 
 
 def test_another_heading_is_used_when_the_first_ceases():
@@ -218,7 +218,7 @@ def test_velocity_comes_once_an_epoch_at_the_stamp_of_its_fix(order):
     fixes, found = ([s for s in samples if isinstance(s, kind)] for kind in (FixSample, VelocitySample))
     assert [s.stamp_ns for s in found] == [s.stamp_ns for s in fixes]
     assert found[0][1:] == pytest.approx((1.0, 0.0, P.velocity_stddev), abs=1e-3)
-    assert parser.repeated == len(EPOCHS)
+    assert parser.duplicates == len(EPOCHS)
 
 
 def test_kinds_that_come_are_named():

@@ -5,11 +5,11 @@
 import pytest
 
 from trackslip_drivers.protocols.sick_commands import (
+    CommandRefused,
     ErrorReport,
     ModeChanged,
     ModeResult,
     PowerOn,
-    Refused,
     Reply,
     ReplyFault,
     ResetDone,
@@ -28,7 +28,7 @@ from trackslip_drivers.protocols.sick_commands import (
         (b"\xa0\x02\x00", ModeChanged(ModeResult.FAULT)),
         (b"\x90LMS200;30106;V02.10 \x10", PowerOn("LMS200;30106;V02.10")),
         (b"\x91\x00", ResetDone()),
-        (b"\x92\x00", Refused()),
+        (b"\x92\x00", CommandRefused()),
         (b"\xb1\x24\x07\x00", StatusReport(b"\x24\x07")),
         (b"\xb2\x00", ErrorReport(())),
         (b"\xb2\x02\x11\x04\x2a\x80", ErrorReport(((Severity.WARNING, 0x11), (Severity.FATAL, 0x2A)))),

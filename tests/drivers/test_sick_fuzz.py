@@ -20,7 +20,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     Telegram,
     TelegramFault,
     TelegramParser,
-    frame,
+    make_telegram,
 )
 
 MS = 1_000_000
@@ -39,7 +39,7 @@ noise = st.lists(
 
 def scan_frame(seed: int) -> bytes:
     values = np.random.default_rng(seed).integers(0, 0x10000, 361).astype(np.uint16)
-    return frame(RawScan(values, status=0).payload(), FROM_SENSOR)
+    return make_telegram(RawScan(values, status=0).payload(), FROM_SENSOR)
 
 
 class Receiver:
@@ -58,7 +58,7 @@ class Receiver:
             if isinstance(event, Telegram):
                 assert event.end_ns <= self.now_ns
                 self.payloads.append(event.payload)
-                self.used += len(frame(event.payload, FROM_SENSOR))
+                self.used += len(make_telegram(event.payload, FROM_SENSOR))
             else:
                 self.used += 1
         assert self.parser.bytes_held < MAX_TELEGRAM

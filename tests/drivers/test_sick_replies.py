@@ -10,7 +10,7 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_scan import RawScan, ScanFault
 from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession
-from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, TO_SENSOR, frame
+from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, TO_SENSOR, make_telegram
 
 MS = 1_000_000
 S = 1000 * MS
@@ -40,7 +40,7 @@ class Puppet:
     def answer(self, *telegrams: bytes, ack: bytes = b"\x06") -> bytes:
         """Acknowledge and answer a command after 30 ms; returns the next bytes that the session writes."""
         self.now_ns += 30 * MS
-        self.session.receive(ack + b"".join(frame(t, FROM_SENSOR) for t in telegrams), self.now_ns)
+        self.session.receive(ack + b"".join(make_telegram(t, FROM_SENSOR) for t in telegrams), self.now_ns)
         return self.step(0)
 
     def count(self, fault: SessionFault) -> int:
@@ -49,22 +49,22 @@ class Puppet:
 
 def test_a_scanner_that_has_just_started_is_commanded_again() -> None:
     puppet = Puppet()
-    assert puppet.answer(b"\x90PLS\x00", ack=b"") == frame(commands.STOP, TO_SENSOR)
+    assert puppet.answer(b"\x90PLS\x00", ack=b"") == make_telegram(commands.STOP, TO_SENSOR)
     assert puppet.baud == 9600
-    assert puppet.answer(OK) == frame(INSTALL, TO_SENSOR)
+    assert puppet.answer(OK) == make_telegram(INSTALL, TO_SENSOR)
 
 
 def test_the_rate_changes_also_when_only_its_acknowledgement_is_received() -> None:
     puppet = Puppet()
-    assert puppet.answer(OK) == frame(INSTALL, TO_SENSOR)
-    assert puppet.answer(OK) == frame(SET_BAUD, TO_SENSOR)
+    assert puppet.answer(OK) == make_telegram(INSTALL, TO_SENSOR)
+    assert puppet.answer(OK) == make_telegram(SET_BAUD, TO_SENSOR)
     assert puppet.answer() == b""
     assert puppet.step(240) == b""
     assert puppet.baud == 9600
     assert puppet.step(20) == b""
     assert puppet.baud == 38400
     assert puppet.step(240) == b""
-    assert puppet.step(20) == frame(commands.STOP, TO_SENSOR)
+    assert puppet.step(20) == make_telegram(commands.STOP, TO_SENSOR)
 
 
 def test_a_late_reply_does_not_answer_the_next_command() -> None:
@@ -74,7 +74,7 @@ def test_a_late_reply_does_not_answer_the_next_command() -> None:
     puppet.answer(OK)
     assert puppet.baud == 38400
     assert puppet.answer(OK) == b""
-    assert puppet.step(260) == frame(commands.STOP, TO_SENSOR)
+    assert puppet.step(260) == make_telegram(commands.STOP, TO_SENSOR)
     assert puppet.step(10) == b""
     assert puppet.session.phase is Phase.CHANGING_RATE
 
@@ -85,7 +85,7 @@ def test_a_refusal_starts_it_again(accepted: int, ack: bytes, reply: tuple[bytes
     puppet = Puppet()
     for _ in range(accepted):
         puppet.answer(OK)
-    assert puppet.answer(*reply, ack=ack) == frame(commands.STOP, TO_SENSOR)
+    assert puppet.answer(*reply, ack=ack) == make_telegram(commands.STOP, TO_SENSOR)
     assert puppet.session.phase is Phase.PROBING
     assert puppet.count(SessionFault.REFUSED if accepted == 1 else SessionFault.BAUD) == 1
 
@@ -93,8 +93,8 @@ def test_a_refusal_starts_it_again(accepted: int, ack: bytes, reply: tuple[bytes
 def test_a_refusal_to_stream_starts_it_again() -> None:
     session = SickSession(PLS, Tally())
     session.step(EPOCH_NS)
-    session.receive(b"\x06" + frame(OK, FROM_SENSOR), EPOCH_NS + 30 * MS)
-    assert session.step(EPOCH_NS + 30 * MS).write == frame(commands.STREAM_ALL, TO_SENSOR)
+    session.receive(b"\x06" + make_telegram(OK, FROM_SENSOR), EPOCH_NS + 30 * MS)
+    assert session.step(EPOCH_NS + 30 * MS).write == make_telegram(commands.STREAM_ALL, TO_SENSOR)
     session.receive(b"\x15", EPOCH_NS + 60 * MS)
     session.step(EPOCH_NS + 60 * MS)
     assert session.phase is Phase.PROBING
@@ -105,5 +105,5 @@ def test_unrequested_scans_are_counted() -> None:
     session = SickSession(PLS, Tally())
     session.step(EPOCH_NS)
     scan = RawScan(np.full(361, 500, dtype=np.uint16), status=0)
-    assert session.receive(frame(scan.payload(), FROM_SENSOR), EPOCH_NS + 300 * MS) == []
+    assert session.receive(make_telegram(scan.payload(), FROM_SENSOR), EPOCH_NS + 300 * MS) == []
     assert session.tally.total["scan", ScanFault.NOT_STREAMING.value] == 1

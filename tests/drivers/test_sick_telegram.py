@@ -19,7 +19,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     Telegram,
     TelegramFault,
     TelegramParser,
-    frame,
+    make_telegram,
 )
 
 MS = 1_000_000
@@ -78,7 +78,7 @@ class Receiver:
 @pytest.mark.parametrize(("wire", "payload", "address"), VECTORS)
 def test_known_telegrams_encode_and_decode(wire: bytes, payload: bytes, address: int) -> None:
     receiver = Receiver(address)
-    assert frame(payload, address) == wire
+    assert make_telegram(payload, address) == wire
     assert receiver.feed(wire) == [payload]
     assert not receiver.tally.total
 
@@ -86,7 +86,7 @@ def test_known_telegrams_encode_and_decode(wire: bytes, payload: bytes, address:
 @pytest.mark.parametrize("payload", [b"", bytes(MAX_PAYLOAD + 1)])
 def test_payloads_of_no_telegram_are_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="payload of"):
-        frame(payload, TO_SENSOR)
+        make_telegram(payload, TO_SENSOR)
 
 
 def test_the_checksum_is_that_of_the_manuals_register() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
-from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
+from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, sample_of_speeds
 from trackslip_drivers.records import SprocketSample
 from trackslip_drivers.wheel_parameters import NODE, WheelParameters
 
@@ -85,9 +85,9 @@ def test_field_filled_with_nan_is_ignored():
 @pytest.mark.parametrize(
     ("names", "positions", "velocities", "reason"),
     [
-        (NAMES[:3], [0.0] * 3, [0.0] * 3, Rejection.JOINTS),
-        (NAMES, [0.0] * 4, [0.0] * 5, Rejection.LENGTHS),
-        (NAMES, [], [], Rejection.NOTHING),
+        (NAMES[:3], [0.0] * 3, [0.0] * 3, Rejection.MISSING_JOINT),
+        (NAMES, [0.0] * 4, [0.0] * 5, Rejection.LENGTH_MISMATCH),
+        (NAMES, [], [], Rejection.NO_VALUES),
         (NAMES, [math.nan] * 5, [0.0] * 5, Rejection.NOT_A_NUMBER),
         (NAMES, [0.0] * 5, [math.inf] * 5, Rejection.NOT_A_NUMBER),
     ],
@@ -99,7 +99,7 @@ def test_message_is_refused(names, positions, velocities, reason):
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.3, 3.0), st.floats(0.05, 0.6))
 def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
     p = parameters(wheel_separation=separation, **{"vehicle.kinematics.rolling_radius": radius})
-    found = of_speeds(S, v, rate, p)
+    found = sample_of_speeds(S, v, rate, p)
     assert radius * (found.left_velocity + found.right_velocity) / 2.0 == pytest.approx(v)
     turning = radius * (found.right_velocity - found.left_velocity) / separation
     assert turning == pytest.approx(rate, abs=1e-9)
@@ -107,7 +107,7 @@ def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
 
 
 def test_non_finite_speeds_are_refused():
-    assert of_speeds(S, math.nan, 0.0, parameters()) is Rejection.NOT_A_NUMBER
+    assert sample_of_speeds(S, math.nan, 0.0, parameters()) is Rejection.NOT_A_NUMBER
 
 
 @pytest.mark.parametrize("names", [[], [""], ["front_right_wheel"], ["a", "a"]])

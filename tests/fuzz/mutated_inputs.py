@@ -28,7 +28,7 @@ from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols.can_frames import STANDARD_FLAG, FrameSet
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
-from trackslip_drivers.protocols.gnss_frames import LONGEST
+from trackslip_drivers.protocols.gnss_frames import LONGEST_MESSAGE
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 
 COUNTS = {"nmea": 1_000_000, "ubx": 1_000_000, "dbc": 100_000}
@@ -73,7 +73,7 @@ class Receiver:
         content = self._mutate(draw, draw.choice(self._seeds))
         for sample in self._stream.feed(content, self._now_ns):
             assert all(math.isfinite(value) for value in sample[1:3]), sample
-        assert self._stream.bytes_held <= LONGEST
+        assert self._stream.bytes_held <= LONGEST_MESSAGE
         self._count += 1
         if self._count % _LOOK == 0:
             self._look()

@@ -16,7 +16,7 @@ from pyubx2 import GET, UBXMessage, calc_checksum
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols import sick_commands as commands
-from trackslip_drivers.protocols.gnss_frames import LONGEST
+from trackslip_drivers.protocols.gnss_frames import LONGEST_MESSAGE
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.protocols.sick_scan import RawScan, Scan
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
@@ -26,7 +26,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     SILENCE_NS,
     TO_SENSOR,
     Control,
-    frame,
+    make_telegram,
 )
 from trackslip_drivers.protocols.watson import encode_frame, encode_line
 from trackslip_drivers.protocols.watson_stream import WatsonStream
@@ -43,16 +43,17 @@ pieces = st.lists(st.tuples(kinds, contents), max_size=12)
 
 
 SCANS = [
-    frame(RawScan(np.full(361, n, dtype=np.uint16), status=0).payload(), FROM_SENSOR) for n in (250, 251)
+    make_telegram(RawScan(np.full(361, n, dtype=np.uint16), status=0).payload(), FROM_SENSOR)
+    for n in (250, 251)
 ]
-MODE_OK = frame(b"\xa0\x00\x10", FROM_SENSOR)
+MODE_OK = make_telegram(b"\xa0\x00\x10", FROM_SENSOR)
 POWER_ON = b"\x90PLS101-312\x10"
 
 
 def on_line(kind: int, content: bytes, address: int) -> tuple[bytes, int]:
     """The bytes of a piece, and the duration of their transfer, ns."""
     payload = scan_payload(content) if kind == SCAN else content or b"\0"
-    whole = frame(payload[:MAX_PAYLOAD], address) if kind in (FRAMED, CUT, SCAN) else content
+    whole = make_telegram(payload[:MAX_PAYLOAD], address) if kind in (FRAMED, CUT, SCAN) else content
     forms = {
         CUT: whole[: len(whole) // 2],
         HEAD: bytes((0x02, address)) + content,
@@ -132,7 +133,7 @@ def test_emulated_scanner_answers_after_any_command(conversation: list[Piece]) -
         now_ns += 2_000 * MS
         device.receive(b"", now_ns, None)
         device.step(now_ns)
-    device.receive(frame(commands.STOP, TO_SENSOR), now_ns, None)
+    device.receive(make_telegram(commands.STOP, TO_SENSOR), now_ns, None)
     assert MODE_OK[:6] in device.step(now_ns + 2_000 * MS)
 
 
@@ -186,7 +187,7 @@ def test_good_fix_after_any_sentences_is_found(sent: list[bytes]) -> None:
         whole = nmea_sentences.sentence(content.decode("ascii")) if is_text else content + b"\n"
         for sample in stream.feed(whole, now_ns):
             assert np.isfinite(sample[1]), sample
-        assert stream.bytes_held <= LONGEST
+        assert stream.bytes_held <= LONGEST_MESSAGE
         stream.flush()
     stream.feed(b"\n", now_ns)
     samples = stream.feed(LATER, now_ns + 1000 * MS)
@@ -219,7 +220,7 @@ def test_good_fix_after_any_binary_messages_is_found(sent: list[Piece]) -> None:
         whole = ubx_frame(NAMES[kind] + content) if kind < len(NAMES) else content
         for sample in stream.feed(whole, now_ns):
             assert np.isfinite(sample[1]), sample
-        assert stream.bytes_held <= LONGEST
+        assert stream.bytes_held <= LONGEST_MESSAGE
     samples = stream.feed(LATER, now_ns + 5000 * MS) + stream.flush()
     assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples)
 

@@ -18,7 +18,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     Control,
     Telegram,
     TelegramParser,
-    frame,
+    make_telegram,
 )
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
@@ -50,13 +50,13 @@ class Terminal:
         return [event.payload if isinstance(event, Telegram) else event for event in events]
 
     def send(self, command: bytes, wait_ns: int = 60 * MS) -> list[bytes | Control]:
-        self.device.receive(frame(command, TO_SENSOR), self.now_ns, None)
+        self.device.receive(make_telegram(command, TO_SENSOR), self.now_ns, None)
         return self.wait(wait_ns)
 
 
 def test_scanner_ignores_commands_while_booting_and_then_announces_itself() -> None:
     device = SickDevice(PLS, START, stairs, 0)
-    device.receive(frame(commands.STOP, TO_SENSOR), BOOT_NS - 1, None)
+    device.receive(make_telegram(commands.STOP, TO_SENSOR), BOOT_NS - 1, None)
     assert device.bytes_ignored == 8
     assert device.step(BOOT_NS) == b""
     assert Terminal().greeting == [b"\x90PLS101-312\x00"]
@@ -84,14 +84,14 @@ def test_each_command_has_its_reply(command: bytes, reply: bytes) -> None:
 
 def test_a_corrupt_command_is_not_acknowledged() -> None:
     terminal = Terminal()
-    terminal.device.receive(frame(commands.STOP, TO_SENSOR)[:-1] + b"\x00", terminal.now_ns, None)
+    terminal.device.receive(make_telegram(commands.STOP, TO_SENSOR)[:-1] + b"\x00", terminal.now_ns, None)
     assert terminal.wait(60 * MS) == [Control.NAK]
 
 
 def test_baud_rate_changes_once_the_reply_is_sent() -> None:
     terminal = Terminal()
     terminal.send(INSTALL)
-    terminal.device.receive(frame(commands.set_baud(38400), TO_SENSOR), terminal.now_ns, 9600)
+    terminal.device.receive(make_telegram(commands.set_baud(38400), TO_SENSOR), terminal.now_ns, 9600)
     terminal.wait(20 * MS)
     assert terminal.device.baud == 9600
     assert terminal.wait(40 * MS) == [OK]
@@ -100,10 +100,10 @@ def test_baud_rate_changes_once_the_reply_is_sent() -> None:
 
 def test_scanner_ignores_commands_at_another_baud_rate() -> None:
     device = Terminal().device
-    device.receive(frame(commands.STOP, TO_SENSOR), BOOT_NS + 60 * MS, 38400)
+    device.receive(make_telegram(commands.STOP, TO_SENSOR), BOOT_NS + 60 * MS, 38400)
     assert device.bytes_ignored == 8
     assert device.step(BOOT_NS + 200 * MS) == b""
-    device.receive(frame(commands.STOP, TO_SENSOR), BOOT_NS + 200 * MS, 9600)
+    device.receive(make_telegram(commands.STOP, TO_SENSOR), BOOT_NS + 200 * MS, 9600)
     assert device.bytes_ignored == 8
     assert device.step(BOOT_NS + 300 * MS)[:1] == b"\x06"
 

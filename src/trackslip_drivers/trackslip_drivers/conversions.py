@@ -27,8 +27,8 @@ from trackslip_drivers.records import (
     VelocitySample,
 )
 
-_UNOBSERVED = 1e6  # rad², variance of roll and pitch
-_ABSENT = -1.0  # first element of the covariance of an unmeasured quantity (REP-145)
+_UNOBSERVED_VARIANCE = 1e6  # rad², variance of roll and pitch
+_ABSENT_COVARIANCE = -1.0  # first element of the covariance of an unmeasured quantity (REP-145)
 
 
 def blank_joint_state(make: Make, frame_id: str) -> Any:
@@ -74,7 +74,7 @@ def fill_track_hydraulics(message: Any, sample: HydraulicsSample) -> Any:
 def blank_imu(make: Make, frame_id: str, acceleration_stddev: float, rate_stddev: float) -> Any:
     """sensor_msgs/Imu for ``fill_imu``."""
     absent = np.zeros(9)
-    absent[0] = _ABSENT
+    absent[0] = _ABSENT_COVARIANCE
     return make(
         "sensor_msgs/msg/Imu",
         header=header(make, 0, frame_id),
@@ -150,9 +150,13 @@ def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
     Rates and accelerations are absent (REP-145); an unknown accuracy is a covariance of zeros.
     """
     absent = np.zeros(9)
-    absent[0] = _ABSENT
+    absent[0] = _ABSENT_COVARIANCE
     known = sample.stddev > 0.0
-    covariance = np.diag((_UNOBSERVED, _UNOBSERVED, sample.stddev**2)).flatten() if known else np.zeros(9)
+    covariance = (
+        np.diag((_UNOBSERVED_VARIANCE, _UNOBSERVED_VARIANCE, sample.stddev**2)).flatten()
+        if known
+        else np.zeros(9)
+    )
     half = sample.yaw / 2.0
     return make(
         "sensor_msgs/msg/Imu",
@@ -171,7 +175,7 @@ def velocity(make: Make, sample: VelocitySample, frame_id: str) -> Any:
 
     An unknown accuracy is a variance of zero.
     """
-    covariance = np.diag(np.full(6, _UNOBSERVED))
+    covariance = np.diag(np.full(6, _UNOBSERVED_VARIANCE))
     covariance[0, 0] = covariance[1, 1] = sample.stddev**2
     linear = make("geometry_msgs/msg/Vector3", x=sample.east, y=sample.north, z=0.0)
     twist = make("geometry_msgs/msg/Twist", linear=linear, angular=_zero_vector(make))

@@ -28,8 +28,8 @@ from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import ubx
-from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
-from trackslip_drivers.protocols.nmea import Rejection, Sentence, read, time_of_day_ns
+from trackslip_drivers.protocols.gnss_frames import Frame, FrameSplitter, Kind
+from trackslip_drivers.protocols.nmea import Rejection, Sentence, read_sentence, time_of_day_ns
 from trackslip_drivers.protocols.nmea_stream import NO_POSITION, POSITIONS, NmeaStream, Sample
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 
@@ -75,10 +75,8 @@ def read_receiver_logs(
         notes.append(f"{names}: {len(samples) - len(distinct)} × an epoch that another log holds, too")
     samples = list(reversed(distinct.values()))
     notes += [f"{names}: {n} × {reason}" for why in tally.by_source().values() for reason, n in why.items()]
-    if stream.crowded:
-        notes.append(
-            f"{names}: {stream.crowded} × another of one kind in an epoch; accepted: one (as often as GGA)"
-        )
+    if count := stream.duplicates_of_same_kind:
+        notes.append(f"{names}: {count} × another of one kind in an epoch; accepted: one (as often as GGA)")
     kinds = f"kinds that come: {', '.join(stream.kinds) or 'none'}"
     if stream.kinds and not POSITIONS & set(stream.kinds):
         kinds += f"; {NO_POSITION}"
@@ -101,14 +99,14 @@ def read_receiver_logs(
 
 def _messages(path: Path) -> Iterator[_Timed]:
     """Complete messages of a file, and the bytes between them, which the stream counts."""
-    cutter = FrameCutter(0)
+    splitter = FrameSplitter(0)
     try:
         for piece in _pieces(path):
-            for frame in cutter.feed(piece, 0):
+            for frame in splitter.feed(piece, 0):
                 yield _timed(frame)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    for frame in cutter.feed(b"\n", 0):  # a last line without an end
+    for frame in splitter.feed(b"\n", 0):  # a last line without an end
         yield _timed(frame)
 
 
@@ -130,17 +128,17 @@ def holds_messages(path: Path) -> bool:
     Raises:
         OSError: it cannot be read.
     """
-    cutter, sentences = FrameCutter(0), 0
-    for frame in cutter.feed(next(_pieces(path), b""), 0):
+    splitter, sentences = FrameSplitter(0), 0
+    for frame in splitter.feed(next(_pieces(path), b""), 0):
         if frame.kind is Kind.UBX:
             return True
-        sentences += frame.kind is Kind.SENTENCE and isinstance(read(frame.content), Sentence)
+        sentences += frame.kind is Kind.SENTENCE and isinstance(read_sentence(frame.content), Sentence)
     return sentences >= _FEWEST
 
 
 def _timed(frame: Frame) -> _Timed:
     if frame.kind is Kind.SENTENCE:
-        found = read(frame.content)
+        found = read_sentence(frame.content)
         reading = found.reading if isinstance(found, Sentence) else None
         time_ns = None if reading is None or isinstance(reading, Rejection) else reading.time_ns
         is_clock = isinstance(found, Sentence) and found.kind == "ZDA"

@@ -100,7 +100,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         (entry, *others) = super().health()
         entry.values["latency (s)"] = f"{self._stream.latency_ns * 1e-9:.3f}"
         entry.values["unused sentences"] = self._stream.others
-        entry.values["duplicate measurements"] = self._stream.repeated
+        entry.values["duplicate measurements"] = self._stream.duplicates
         entry.values["bytes between sentences"] = self._stream.binary
         return [entry, *others, *self._health_of_corrections()]
 

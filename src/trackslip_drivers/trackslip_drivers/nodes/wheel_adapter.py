@@ -11,7 +11,7 @@ from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, message_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
+from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, sample_of_speeds
 from trackslip_drivers.records import SprocketSample
 from trackslip_drivers.wheel_parameters import MESSAGES, NODE, WheelParameters
 
@@ -64,7 +64,7 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
         twist = message
         while hasattr(twist, "twist"):
             twist = twist.twist
-        return of_speeds(stamp_ns, twist.linear.x, twist.angular.z, self.settings)
+        return sample_of_speeds(stamp_ns, twist.linear.x, twist.angular.z, self.settings)
 
 
 def main() -> None:

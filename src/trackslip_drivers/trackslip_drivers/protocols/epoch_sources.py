@@ -5,16 +5,16 @@
 import math
 
 _TIMEOUT_NS = 3_000_000_000  # silence of a better message, after which the next best is used
-_SAME_NS = 4_000_000  # stamps closer than this are of one epoch; receivers send 100 a second at most
-_SHARE = 0.6  # of the epoch period: a message of equal rank that comes later is of the next epoch
+_SAME_EPOCH_NS = 4_000_000  # stamps closer than this are of one epoch; receivers send 100 a second at most
+_NEXT_EPOCH_SHARE = 0.6  # of the epoch period: a message of equal rank that comes later is of the next epoch
 
 
 class EpochSource:
     """Selects the message of a measurement: the best rank, and the first of its epoch."""
 
     def __init__(self) -> None:
-        self.repeated = 0  # measurements dropped as duplicates of an epoch
-        self.crowded = 0  # duplicates from the same message
+        self.duplicates = 0  # measurements dropped as duplicates of an epoch
+        self.duplicates_of_same_kind = 0  # duplicates from the same message
         self.reset()
 
     def reset(self) -> None:
@@ -33,20 +33,20 @@ class EpochSource:
             stamp_ns: its epoch, on a steady clock.
             arrival_ns: arrival of the message's first byte.
         """
-        after_ns = abs(stamp_ns - self._stamp_ns)
+        elapsed_ns = abs(stamp_ns - self._stamp_ns)
         is_same = name == self._name
         if is_same or rank > self._rank:
-            is_next = after_ns > _SAME_NS
+            is_next = elapsed_ns > _SAME_EPOCH_NS
         elif rank == self._rank:
-            is_next = after_ns > max(_SHARE * self._period_ns, _SAME_NS)
+            is_next = elapsed_ns > max(_NEXT_EPOCH_SHARE * self._period_ns, _SAME_EPOCH_NS)
         else:
             is_next = arrival_ns - self._arrival_ns > _TIMEOUT_NS
         if is_same or rank > self._rank or is_next:
             self._name, self._rank, self._arrival_ns = name, rank, arrival_ns
         if not is_next:
-            self.repeated += 1
-            self.crowded += is_same
+            self.duplicates += 1
+            self.duplicates_of_same_kind += is_same
             return False
-        self._period_ns = after_ns if after_ns <= _TIMEOUT_NS else 0.0
+        self._period_ns = elapsed_ns if elapsed_ns <= _TIMEOUT_NS else 0.0
         self._stamp_ns = stamp_ns
         return True

@@ -22,11 +22,11 @@ from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, LONGEST_LINE
 
 _UBX, _RTCM, _SENTENCE, _LF = b"\xb5\x62", 0xD3, ord("$"), ord("\n")
 _LINE_END = re.compile(rb"\n|\r(?=[$\xb5\xd3])")
-_ENDS_NOISE = re.compile(rb"[$\xb5\xd3\n]")
-_NO_TEXT = re.compile(rb"[^\x20-\x7e\r\t]")
+_NOISE_END = re.compile(rb"[$\xb5\xd3\n]")
+_NON_TEXT = re.compile(rb"[^\x20-\x7e\r\t]")
 _ADDRESS = re.compile(rb"\$[A-Z]{2}")  # how a sentence begins
 _LONGEST_UBX = 4096  # bytes of a payload; raw measurements of a hundred signals take 3.2 kB
-LONGEST = _LONGEST_UBX + 8
+LONGEST_MESSAGE = _LONGEST_UBX + 8
 _STALL_NS = 300_000_000  # silence after which a pending binary message is abandoned
 _NS_PER_S = 1_000_000_000
 
@@ -51,8 +51,8 @@ class Frame(NamedTuple):
     ended_ns: int  # the same for the last byte
 
 
-class FrameCutter:
-    """Splits the stream; holds at most ``LONGEST`` bytes between reads, so its memory is bounded.
+class FrameSplitter:
+    """Splits the stream; holds at most ``LONGEST_MESSAGE`` bytes between reads, so its memory is bounded.
 
     Args:
         baud: line rate; 0: a network, without transmission time.
@@ -80,62 +80,62 @@ class FrameCutter:
         if not data:
             return
         if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
-            yield from self.resume()
+            yield from self.split_pending()
         self._pending += data
         self._reads.append((len(self._pending), arrival_ns))
-        yield from self._cut()
+        yield from self._split()
 
-    def resume(self) -> Iterator[Frame]:
+    def split_pending(self) -> Iterator[Frame]:
         """After silence on the line: abandon a pending binary message, and split its content again."""
         while self._pending and self._pending[0] != _SENTENCE:
-            yield from self._skip()
-            yield from self._cut()
+            yield from self._skip_noise()
+            yield from self._split()
 
-    def _cut(self) -> Iterator[Frame]:
+    def _split(self) -> Iterator[Frame]:
         while self._pending:
-            size = self._size()
+            size = self._message_size()
             if size is None:
                 return
             if size == 0:
-                yield from self._skip()
+                yield from self._skip_noise()
                 continue
             kind = {_SENTENCE: Kind.SENTENCE, _RTCM: Kind.RTCM}.get(self._pending[0], Kind.UBX)
-            yield from self._end_noise(Kind.NOISE)
-            yield self._take(kind, size)
+            yield from self._flush_noise(Kind.NOISE)
+            yield self._extract_message(kind, size)
 
-    def _size(self) -> int | None:
+    def _message_size(self) -> int | None:
         """Size of the message at the start of the pending bytes; 0: none starts there; None: incomplete."""
         first = self._pending[0]
         if first == _SENTENCE:
-            return self._sentence()
+            return self._sentence_size()
         if first == _UBX[0]:
-            return self._ubx()
-        return self._rtcm() if first == _RTCM else 0
+            return self._ubx_size()
+        return self._rtcm_size() if first == _RTCM else 0
 
-    def _sentence(self) -> int | None:
+    def _sentence_size(self) -> int | None:
         found = _LINE_END.search(self._pending, 1, LONGEST_LINE + 1)
         end = found.start() if found else -1
         held = min(len(self._pending), LONGEST_LINE + 1) if end < 0 else end
-        if _NO_TEXT.search(self._pending, 1, held) or self._pending.find(_SENTENCE, 1, held) > 0:
+        if _NON_TEXT.search(self._pending, 1, held) or self._pending.find(_SENTENCE, 1, held) > 0:
             return 0
         if end > 0:
             return end + 1
         return None if len(self._pending) <= LONGEST_LINE else 0
 
-    def _ubx(self) -> int | None:
+    def _ubx_size(self) -> int | None:
         held = self._pending
         if len(held) > 1 and held[1] != _UBX[1]:
             return 0
         if len(held) < 6:
             return None
         size = int.from_bytes(held[4:6], "little") + 8
-        if size > LONGEST:
+        if size > LONGEST_MESSAGE:
             return 0
         if len(held) < size:
             return None
         return size if calc_checksum(bytes(held[2 : size - 2])) == held[size - 2 : size] else 0
 
-    def _rtcm(self) -> int | None:
+    def _rtcm_size(self) -> int | None:
         held = self._pending
         if len(held) > 1 and held[1] & 0xFC:
             return 0
@@ -146,27 +146,27 @@ class FrameCutter:
             return None
         return 0 if calc_crc24q(bytes(held[:size])) else size
 
-    def _skip(self) -> Iterator[Frame]:
+    def _skip_noise(self) -> Iterator[Frame]:
         """Move bytes to the noise, up to the next possible start of a message or end of a line."""
         if self._pending[0] == _SENTENCE:
-            yield from self._end_noise(Kind.NOISE)
+            yield from self._flush_noise(Kind.NOISE)
         if self._pending[0] == _LF:
-            self._drop(1)
-            yield from self._end_noise(Kind.TEXT)
+            self._discard_bytes(1)
+            yield from self._flush_noise(Kind.TEXT)
             return
-        found = _ENDS_NOISE.search(self._pending, 1)
+        found = _NOISE_END.search(self._pending, 1)
         size = found.start() if found else len(self._pending)
         self._noise += self._pending[:size]
-        self._drop(size)
+        self._discard_bytes(size)
         if len(self._noise) > LONGEST_LINE:
-            self._overlong |= _NO_TEXT.search(self._noise) is None
+            self._overlong |= _NON_TEXT.search(self._noise) is None
             if not self._overlong:
                 yield self._noise_frame(Kind.NOISE)
             self._noise.clear()
 
-    def _end_noise(self, kind: Kind) -> Iterator[Frame]:
+    def _flush_noise(self, kind: Kind) -> Iterator[Frame]:
         """Return the collected noise as a piece; a truncated sentence is marked as overlong."""
-        is_text = _NO_TEXT.search(self._noise) is None
+        is_text = _NON_TEXT.search(self._noise) is None
         if self._overlong or (is_text and _ADDRESS.match(self._noise)):
             kind = Kind.OVERLONG
         elif not is_text:
@@ -180,16 +180,16 @@ class FrameCutter:
         ended_ns = self._reads[-1][1] if self._reads else self._latest_ns
         return Frame(kind, bytes(self._noise), ended_ns, ended_ns)
 
-    def _take(self, kind: Kind, size: int) -> Frame:
+    def _extract_message(self, kind: Kind, size: int) -> Frame:
         """Remove a complete message; each read bounds its begin from above, at the line rate."""
         held, arrival_ns = self._reads[-1]
         begun_ns = min(arrived_ns - self.transfer_ns(count) for count, arrived_ns in self._reads)
         content = bytes(self._pending[:size])
         content = content.rstrip(b"\r\n") if kind is Kind.SENTENCE else content
-        self._drop(size)
+        self._discard_bytes(size)
         return Frame(kind, content, begun_ns, arrival_ns - self.transfer_ns(held - size))
 
-    def _drop(self, size: int) -> None:
+    def _discard_bytes(self, size: int) -> None:
         self._latest_ns = self._reads[-1][1]
         del self._pending[:size]
         self._reads = [(count - size, arrival_ns) for count, arrival_ns in self._reads if count > size]

@@ -17,7 +17,7 @@ class Line(NamedTuple):
     ended_ns: int  # the same for the last one
 
 
-class LineCutter:
+class LineSplitter:
     """Splits lines; holds at most one line (``limit`` bytes), so its memory is bounded.
 
     Args:
@@ -55,23 +55,23 @@ class LineCutter:
         left = len(data)
         for part in ended:
             left -= len(part) + 1
-            self._hold(part)
+            self._append(part)
             ended_ns = arrival_ns - self.transfer_ns(left)
-            self._bound(ended_ns - self.transfer_ns(1))
+            self._bound_begin(ended_ns - self.transfer_ns(1))
             text = None if self._overlong else bytes(self._pending)
             line = Line(text, round(self._begun_ns), ended_ns)
             self.reset()
             if text != b"":
                 yield line
-        self._hold(rest)
+        self._append(rest)
         if self._pending:
-            self._bound(arrival_ns)
+            self._bound_begin(arrival_ns)
 
-    def _bound(self, arrived_ns: int) -> None:
+    def _bound_begin(self, arrived_ns: int) -> None:
         """Bound the begin of the pending line, whose bytes arrived by ``arrived_ns``."""
         self._begun_ns = min(self._begun_ns, arrived_ns - self.transfer_ns(len(self._pending)))
 
-    def _hold(self, part: bytes) -> None:
+    def _append(self, part: bytes) -> None:
         """Append bytes to the pending line, unless it exceeds the limit.
 
         Leading white space is dropped: it may have come long before.

@@ -39,11 +39,11 @@ STATUS_OF_QUALITY = {
 }
 _NO_FIX, _DEAD_RECKONING = 0, 6
 _QUALITY_OF_MODE = {"N": 0, "A": 1, "D": 2, "P": 2, "R": 4, "F": 5, "E": 6, "M": 7, "S": 8}  # of GNS
-_BEST_FIRST = (RTK_FIXED, RTK_FLOAT, 2, 1, 6, 7, 8)
-_WORST_STDDEV = 1e4  # m
-_HIGHEST = 1e5  # m, largest magnitude of an altitude
-_FASTEST = 100.0  # m/s
-_COURSELESS = 0.2  # m/s, up to which receivers omit the course
+_QUALITIES_BEST_FIRST = (RTK_FIXED, RTK_FLOAT, 2, 1, 6, 7, 8)
+_MAX_STDDEV = 1e4  # m
+_MAX_ALTITUDE = 1e5  # m, largest magnitude of an altitude
+_MAX_SPEED = 100.0  # m/s
+_MAX_SPEED_WITHOUT_COURSE = 0.2  # m/s, up to which receivers omit the course
 _KNOT, _KM_PER_H = 1852.0 / 3600.0, 1.0 / 3.6  # m/s
 _NS_PER_S = 1_000_000_000
 _TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s; some makes omit leading zeros
@@ -104,7 +104,7 @@ class Velocity(NamedTuple):
     east: float  # m/s
     north: float
     stddev: float  # m/s, of each; 0: unknown
-    unseen: float = 0.0  # m/s, speed of unknown direction, not part of east and north
+    speed_without_course: float = 0.0  # m/s, speed of unknown direction, not part of east and north
 
 
 class Rmc(NamedTuple):
@@ -134,7 +134,7 @@ class Sentence(NamedTuple):
     reading: Reading | Rejection | None  # None: an unused kind
 
 
-def read(line: bytes) -> Sentence | Rejection:
+def read_sentence(line: bytes) -> Sentence | Rejection:
     """Decode one line, from its ``$`` on, without its end; text after the checksum is ignored."""
     content, star, behind = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
     stated = _CHECKSUM.match(behind)
@@ -149,7 +149,7 @@ def read(line: bytes) -> Sentence | Rejection:
     if checksum != calc_checksum(content.decode("latin-1")).encode():
         return Rejection.CHECKSUM
     try:
-        reading = decoder(_parsed(kind, content, checksum), fields[1:])
+        reading = decoder(_parse_fields(kind, content, checksum), fields[1:])
     except Exception:  # noqa: BLE001 (whatever the library raises of an empty or wrong field)
         reading = Rejection.MALFORMED
     return Sentence(talker, kind, reading)
@@ -163,7 +163,7 @@ def decode(line: bytes) -> Reading | Rejection | None:
     _, start, content = line.rpartition(b"$")
     if not start:
         return Rejection.NOT_NMEA
-    found = read(b"$" + content)
+    found = read_sentence(b"$" + content)
     return found.reading if isinstance(found, Sentence) else found
 
 
@@ -188,7 +188,7 @@ def _address(fields: Sequence[str]) -> tuple[str, str]:
     return "P", f"{address},{fields[1]}" if named else address
 
 
-def _parsed(kind: str, content: bytes, checksum: bytes) -> Any:
+def _parse_fields(kind: str, content: bytes, checksum: bytes) -> Any:
     """The fields parsed by pynmeagps, which cannot parse a PASHR without a time."""
     if content.startswith(b"PASHR,,"):
         content = content.replace(b",,", b",000000.00,", 1)
@@ -197,8 +197,8 @@ def _parsed(kind: str, content: bytes, checksum: bytes) -> Any:
 
 def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if {getattr(found, "altUnit", ""), getattr(found, "sepUnit", "")} - {"M", ""}:
-        return _refused_quality(found.quality) or Rejection.NOT_METRES
-    return _place(found.quality, fields, found.HDOP, (found.alt, found.sep))
+        return _quality_rejection(found.quality) or Rejection.NOT_METRES
+    return _position(found.quality, fields, found.HDOP, (found.alt, found.sep))
 
 
 def _gns(found: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -209,11 +209,11 @@ def _gns(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if fields[12:] and fields[12] == "U":
         return Rejection.WARNING
     qualities = [_QUALITY_OF_MODE[letter] for letter in fields[5]]
-    quality = next((one for one in _BEST_FIRST if one in qualities), _NO_FIX)
-    return _place(quality, fields, fields[7], (fields[8], fields[9]))
+    quality = next((one for one in _QUALITIES_BEST_FIRST if one in qualities), _NO_FIX)
+    return _position(quality, fields, fields[7], (fields[8], fields[9]))
 
 
-def _refused_quality(quality: Any) -> Rejection | None:
+def _quality_rejection(quality: Any) -> Rejection | None:
     if quality in ("", _NO_FIX):
         return Rejection.NO_FIX
     if quality not in STATUS_OF_QUALITY:
@@ -221,17 +221,17 @@ def _refused_quality(quality: Any) -> Rejection | None:
     return None
 
 
-def _place(
+def _position(
     quality: Any, fields: Sequence[str], dilution: Any, heights: tuple[Any, Any]
 ) -> Reading | Rejection:
     """A position; ``fields``: time, latitude, longitude, …; ``heights``: over the geoid, and of that, m."""
-    if (refused := _refused_quality(quality)) is not None:
-        return refused
+    if (rejection := _quality_rejection(quality)) is not None:
+        return rejection
     latitude, longitude = _angle(fields[1], fields[2], "NS", 90.0), _angle(fields[3], fields[4], "EW", 180.0)
     if math.isnan(latitude) or math.isnan(longitude):
         return Rejection.OUT_OF_RANGE
     altitude = sum(map(_number, heights))
-    if abs(altitude) > _HIGHEST:
+    if abs(altitude) > _MAX_ALTITUDE:
         return Rejection.OUT_OF_RANGE
     hdop = _number(dilution)
     time_ns = time_of_day_ns(fields[0])
@@ -241,7 +241,7 @@ def _place(
 def _gst(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     """GST: a standard deviation of 0 is impossible, and counts as unknown."""
     stated = [_number(value) for value in (found.stdLong, found.stdLat, found.stdAlt)]
-    if any(value < 0.0 or value >= _WORST_STDDEV for value in stated):
+    if any(value < 0.0 or value >= _MAX_STDDEV for value in stated):
         return Rejection.OUT_OF_RANGE
     east, north, up = (value or math.nan for value in stated)
     return Gst(time_of_day_ns(fields[0]), east, north, up)
@@ -252,7 +252,7 @@ def _rmc(found: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.WARNING
     time_ns, speed, course = time_of_day_ns(fields[0]), _number(fields[6]), _number(fields[7])
     velocity = None if math.isnan(speed) else _velocity(time_ns, speed * _KNOT, course)
-    return _rejected_mode(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(time_ns, velocity)
+    return _mode_rejection(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(time_ns, velocity)
 
 
 def _vtg(found: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -262,15 +262,15 @@ def _vtg(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     speed, knots = _number(fields[6]) * _KM_PER_H, _number(fields[4]) * _KNOT
     if math.isnan(speed):
         speed = knots
-    rejected = _rejected_mode(fields[8] if len(fields) > 8 else "", Rejection.WARNING)
+    rejected = _mode_rejection(fields[8] if len(fields) > 8 else "", Rejection.WARNING)
     return rejected or _velocity(None, speed, _number(fields[0]))
 
 
 def _velocity(time_ns: int | None, speed: float, course: float) -> Velocity | Rejection:
     """Velocity of a speed in m/s and a course in ° clockwise from true north; nan: unknown."""
-    if math.isnan(speed) or (math.isnan(course) and speed > _COURSELESS):
+    if math.isnan(speed) or (math.isnan(course) and speed > _MAX_SPEED_WITHOUT_COURSE):
         return Rejection.NO_VELOCITY
-    if not 0.0 <= speed < _FASTEST or course < 0.0 or course > 360.0:
+    if not 0.0 <= speed < _MAX_SPEED or course < 0.0 or course > 360.0:
         return Rejection.OUT_OF_RANGE
     if math.isnan(course):
         return Velocity(time_ns, 0.0, 0.0, 0.0, speed)
@@ -278,7 +278,7 @@ def _velocity(time_ns: int | None, speed: float, course: float) -> Velocity | Re
     return Velocity(time_ns, speed * math.cos(yaw), speed * math.sin(yaw), 0.0)
 
 
-def _rejected_mode(mode: str, invalid: Rejection) -> Rejection | None:
+def _mode_rejection(mode: str, invalid: Rejection) -> Rejection | None:
     """Rejection by a mode: N, V invalid, E estimated, M manual, S simulated; None for any other."""
     reasons = {"N": invalid, "V": invalid, "E": Rejection.DEAD_RECKONING}
     return reasons.get(mode) or (Rejection.NOT_MEASURED if mode in ("M", "S") else None)
@@ -291,7 +291,7 @@ def _hdt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 def _ths(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if found.mi == "":
         return Rejection.NO_HEADING
-    return _rejected_mode(found.mi, Rejection.NO_HEADING) or _heading(None, found.headt)
+    return _mode_rejection(found.mi, Rejection.NO_HEADING) or _heading(None, found.headt)
 
 
 def _pashr(found: Any, fields: Sequence[str]) -> Reading | Rejection:

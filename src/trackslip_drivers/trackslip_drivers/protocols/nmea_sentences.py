@@ -33,39 +33,45 @@ def sentence(content: str) -> bytes:
     return f"${content}*{calc_checksum(content)}\r\n".encode("ascii")
 
 
-def gga(at: Position, geoid: float = 20.0) -> bytes:
+def gga(position: Position, geoid: float = 20.0) -> bytes:
     """GGA: position; minutes have 7 decimals, 0.2 mm."""
-    time = _time(at.time_ns)
-    if at.quality == 0:
+    time = _time(position.time_ns)
+    if position.quality == 0:
         return sentence(f"GNGGA,{time},,,,,0,00,99.9,,,,,,")
-    north, east = _angle(at.latitude, 2, "NS"), _angle(at.longitude, 3, "EW")
-    height = f"{at.altitude - geoid:.4f},M,{geoid:.4f},M"
-    return sentence(f"GNGGA,{time},{north},{east},{at.quality},18,{at.hdop:.1f},{height},1.0,0000")
+    north, east = _angle(position.latitude, 2, "NS"), _angle(position.longitude, 3, "EW")
+    height = f"{position.altitude - geoid:.4f},M,{geoid:.4f},M"
+    return sentence(
+        f"GNGGA,{time},{north},{east},{position.quality},18,{position.hdop:.1f},{height},1.0,0000"
+    )
 
 
-def gst(at: Position) -> bytes:
+def gst(position: Position) -> bytes:
     """GST: standard deviations."""
-    if at.quality == 0:
-        return sentence(f"GNGST,{_time(at.time_ns)},,,,,,,")
-    both = f"{at.stddev:.4f},{at.stddev:.4f}"
-    return sentence(f"GNGST,{_time(at.time_ns)},{at.stddev:.4f},{both},0.0,{both},{at.up_stddev:.4f}")
+    if position.quality == 0:
+        return sentence(f"GNGST,{_time(position.time_ns)},,,,,,,")
+    both = f"{position.stddev:.4f},{position.stddev:.4f}"
+    return sentence(
+        f"GNGST,{_time(position.time_ns)},{position.stddev:.4f},{both},0.0,{both},{position.up_stddev:.4f}"
+    )
 
 
-def rmc(at: Position) -> bytes:
+def rmc(position: Position) -> bytes:
     """RMC: validity of the position, speed in knots and course; without a date."""
-    if at.quality == 0:
-        return sentence(f"GNRMC,{_time(at.time_ns)},V,,,,,,,,,,N,V")
-    north, east = _angle(at.latitude, 2, "NS"), _angle(at.longitude, 3, "EW")
-    motion = "," if at.speed is None else f"{at.speed * 3600.0 / 1852.0:.3f},{at.course:.2f}"
-    return sentence(f"GNRMC,{_time(at.time_ns)},A,{north},{east},{motion},,,,R,V")
+    if position.quality == 0:
+        return sentence(f"GNRMC,{_time(position.time_ns)},V,,,,,,,,,,N,V")
+    north, east = _angle(position.latitude, 2, "NS"), _angle(position.longitude, 3, "EW")
+    motion = (
+        "," if position.speed is None else f"{position.speed * 3600.0 / 1852.0:.3f},{position.course:.2f}"
+    )
+    return sentence(f"GNRMC,{_time(position.time_ns)},A,{north},{east},{motion},,,,R,V")
 
 
-def pashr(at: Position) -> bytes:
+def pashr(position: Position) -> bytes:
     """PASHR: heading with accuracy."""
-    if at.heading is None:
-        return sentence(f"PASHR,{_time(at.time_ns)},,T,,,,,,,{at.quality},0")
-    angles = f"{at.heading:.4f},T,+0.00,+0.00,+0.00,0.100,0.100,{at.heading_stddev:.4f}"
-    return sentence(f"PASHR,{_time(at.time_ns)},{angles},{at.quality},0")
+    if position.heading is None:
+        return sentence(f"PASHR,{_time(position.time_ns)},,T,,,,,,,{position.quality},0")
+    angles = f"{position.heading:.4f},T,+0.00,+0.00,+0.00,0.100,0.100,{position.heading_stddev:.4f}"
+    return sentence(f"PASHR,{_time(position.time_ns)},{angles},{position.quality},0")
 
 
 def _time(time_ns: int | None) -> str:

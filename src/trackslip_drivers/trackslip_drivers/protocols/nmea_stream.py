@@ -17,7 +17,7 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.epoch_sources import EpochSource
-from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
+from trackslip_drivers.protocols.gnss_frames import Frame, FrameSplitter, Kind
 from trackslip_drivers.protocols.nmea import (
     RTK_FIXED,
     STATUS_OF_QUALITY,
@@ -29,7 +29,7 @@ from trackslip_drivers.protocols.nmea import (
     Rmc,
     Sentence,
     Velocity,
-    read,
+    read_sentence,
 )
 from trackslip_drivers.records import (
     CovarianceType,
@@ -51,10 +51,10 @@ _PATIENCE = 300  # fixes
 _BURST_GAP_NS = 10_000_000  # silence that ends a burst
 _GST_AGE_NS = 1_500_000_000  # greatest age of a GST used for a fix of the same quality
 _DAY_NS = 86_400_000_000_000
-_EARLY_NS, _LATE_NS = -50_000_000, 1_000_000_000  # bounds on a sentence's age, if both clocks are on UTC
+_MIN_AGE_NS, _MAX_AGE_NS = -50_000_000, 1_000_000_000  # bounds on a sentence's age, if both clocks are on UTC
 
-_MOST_KINDS = 64  # kinds of sentences that are distinguished
-_BY_ACCURACY = 2  # rank of a position that states its accuracy
+_MAX_KINDS = 64  # kinds of sentences that are distinguished
+_ACCURACY_RANK = 2  # rank of a position that states its accuracy
 _RECENT_NS = 10_000_000_000
 _HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
 _TOPICS = {**dict.fromkeys(_HEADINGS, HEADING), "VTG": VELOCITY}
@@ -87,7 +87,7 @@ class NmeaStream:
         self._latency_ns = round(p.latency * 1e9)
         self._gst_quality: int | None = None  # of the fix of the latest GST
         self._utc = utc
-        self._frames = FrameCutter(0 if "://" in p.serial_port else p.serial_baud)
+        self._frames = FrameSplitter(0 if "://" in p.serial_port else p.serial_baud)
         self._clock = SenderClock(_CLOCK_TOLERANCE, _PATIENCE)
         self._position, self._direction, self._speed = EpochSource(), EpochSource(), EpochSource()
         self._kinds: dict[str, int] = {}  # kind of sentence → end of the latest one
@@ -99,14 +99,15 @@ class NmeaStream:
         return self._frames.bytes_held
 
     @property
-    def repeated(self) -> int:
+    def duplicates(self) -> int:
         """Measurements dropped as duplicates of an epoch."""
-        return self._position.repeated + self._direction.repeated + self._speed.repeated
+        return self._position.duplicates + self._direction.duplicates + self._speed.duplicates
 
     @property
-    def crowded(self) -> int:
+    def duplicates_of_same_kind(self) -> int:
         """Duplicates from the same kind of message."""
-        return self._position.crowded + self._direction.crowded + self._speed.crowded
+        sources = (self._position, self._direction, self._speed)
+        return sum(source.duplicates_of_same_kind for source in sources)
 
     @property
     def kinds(self) -> list[str]:
@@ -124,11 +125,11 @@ class NmeaStream:
         self._kinds.clear()
         self._burst_ns: int | None = None  # epoch of the present burst
         self._burst_end_ns: int | None = None
-        self._last: tuple[Gga, int] | None = None  # latest position, and its stamp
+        self._latest_position: tuple[Gga, int] | None = None  # latest position, and its stamp
         self._has_fix = True  # until a sentence states otherwise
         self._gst: tuple[Gst, int] | None = None
         self._gst_follows = False
-        self._waiting = False  # whether the latest position waits for its GST
+        self._is_waiting = False  # whether the latest position waits for its GST
         self._pvt: tuple[ubx.Pvt, int, int] | None = None  # UBX position, its stamp, its arrival
         self._pvt_parts: set[str] = set()  # messages received for it
         self._pvt_follow: set[str] = set()  # messages received for the previous one
@@ -136,14 +137,16 @@ class NmeaStream:
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Sample]:
         """The samples completed by one read, whose last byte arrived by ``arrival_ns``."""
-        return [sample for frame in self._frames.feed(data, arrival_ns) for sample in self._on_frame(frame)]
+        return [
+            sample for frame in self._frames.feed(data, arrival_ns) for sample in self._decode_frame(frame)
+        ]
 
-    def _on_frame(self, frame: Frame) -> list[Sample]:
+    def _decode_frame(self, frame: Frame) -> list[Sample]:
         if self._burst_end_ns is None or frame.begun_ns - self._burst_end_ns > _BURST_GAP_NS:
             self._burst_ns = None
         self._burst_end_ns = frame.ended_ns
         if frame.kind is Kind.SENTENCE:
-            return self._on_sentence(read(frame.content), frame)
+            return self._on_sentence(read_sentence(frame.content), frame)
         if frame.kind is Kind.UBX:
             self._note_kind(ubx.name_of(frame.content), frame.ended_ns)
         if frame.kind is Kind.UBX and (kind := ubx.kind_of(frame.content)):
@@ -155,7 +158,7 @@ class NmeaStream:
         return []
 
     def _note_kind(self, kind: str, ended_ns: int) -> None:
-        if len(self._kinds) < _MOST_KINDS or kind in self._kinds:
+        if len(self._kinds) < _MAX_KINDS or kind in self._kinds:
             self._kinds[kind] = ended_ns
 
     def _on_ubx(self, reading: ubx.Reading | Rejection | None, kind: str, begun_ns: int) -> list[Sample]:
@@ -181,20 +184,20 @@ class NmeaStream:
                 del fields["stddevs"]
             self._pvt = pvt._replace(**fields), stamp_ns, arrival_ns
             self._pvt_parts.add(kind)
-        return samples + (self._pvt_out() if self._pvt_follow <= self._pvt_parts else [])
+        return samples + (self._pvt_samples() if self._pvt_follow <= self._pvt_parts else [])
 
     def _release_pvt(self) -> list[Sample]:
         """The UBX position that waits for other messages, which have not come."""
         if self._pvt is None:
             return []
         self._pvt_follow = set(self._pvt_parts)
-        return self._pvt_out()
+        return self._pvt_samples()
 
-    def _pvt_out(self) -> list[Sample]:
+    def _pvt_samples(self) -> list[Sample]:
         assert self._pvt is not None
         (self._pvt_out_ns, *place, quality, stddevs, _), stamp_ns, begun_ns = self._pvt
         self._pvt = None
-        if not self._position.accept("UBX", _BY_ACCURACY, stamp_ns, begun_ns):
+        if not self._position.accept("UBX", _ACCURACY_RANK, stamp_ns, begun_ns):
             return []
         east, north, up = stddevs
         kind = CovarianceType.UNKNOWN if math.isnan(east) else CovarianceType.DIAGONAL_KNOWN
@@ -223,15 +226,15 @@ class NmeaStream:
 
     def flush(self) -> list[Sample]:
         """The samples that still wait, after the line fell silent; an incomplete message ends."""
-        samples = [sample for frame in self._frames.resume() for sample in self._on_frame(frame)]
-        return samples + self._release() + self._release_pvt()
+        samples = [sample for frame in self._frames.split_pending() for sample in self._decode_frame(frame)]
+        return samples + self._release_position() + self._release_pvt()
 
-    def _release(self) -> list[Sample]:
+    def _release_position(self) -> list[Sample]:
         """The position whose GST has not come: the line is silent, or another epoch has begun."""
-        if not self._waiting:
+        if not self._is_waiting:
             return []
         self._gst_follows = False
-        return self._out()
+        return self._position_samples()
 
     def _on_reading(self, reading: Reading, source: str, begun_ns: int) -> list[Sample]:
         if isinstance(reading, Velocity):
@@ -245,12 +248,12 @@ class NmeaStream:
             return []
         if isinstance(reading, Gst):
             return self._on_gst(reading, stamp_ns)
-        is_next = self._last is None or reading.time_ns != self._last[0].time_ns
-        samples = self._release() if is_next or isinstance(reading, Gga) else []
+        is_next = self._latest_position is None or reading.time_ns != self._latest_position[0].time_ns
+        samples = self._release_position() if is_next or isinstance(reading, Gga) else []
         if isinstance(reading, Gga):
-            self._last, self._waiting = (reading, stamp_ns), True
+            self._latest_position, self._is_waiting = (reading, stamp_ns), True
             if not self._gst_follows or reading.time_ns is None or self._has_gst(reading):
-                samples += self._out()
+                samples += self._position_samples()
         if isinstance(reading, Rmc):
             samples += self._on_velocity(reading.velocity, source, begun_ns)
         return samples
@@ -265,24 +268,28 @@ class NmeaStream:
         if not self._speed.accept(source, rank, stamp_ns, begun_ns):
             return []
         stddev = reading.stddev or self._p.velocity_stddev
-        return [VelocitySample(stamp_ns, reading.east, reading.north, math.hypot(stddev, reading.unseen))]
+        return [
+            VelocitySample(
+                stamp_ns, reading.east, reading.north, math.hypot(stddev, reading.speed_without_course)
+            )
+        ]
 
     def _on_gst(self, gst: Gst, stamp_ns: int) -> list[Sample]:
         self._gst = gst, stamp_ns
-        if self._last is None or gst.time_ns != self._last[0].time_ns:
-            return self._release()
-        self._gst_follows, self._gst_quality = True, self._last[0].quality
-        return self._out() if self._waiting else []
+        if self._latest_position is None or gst.time_ns != self._latest_position[0].time_ns:
+            return self._release_position()
+        self._gst_follows, self._gst_quality = True, self._latest_position[0].quality
+        return self._position_samples() if self._is_waiting else []
 
     def _has_gst(self, gga: Gga) -> bool:
         """Whether the GST of the same epoch has come."""
         return self._gst is not None and self._gst[0].time_ns == gga.time_ns is not None
 
-    def _out(self) -> list[Sample]:
+    def _position_samples(self) -> list[Sample]:
         """The latest position with its variances."""
-        assert self._last is not None
-        gga, stamp_ns = self._last
-        self._waiting = False
+        assert self._latest_position is not None
+        gga, stamp_ns = self._latest_position
+        self._is_waiting = False
         if self._has_gst(gga):
             self._gst_quality = gga.quality
         variances, kind = self._variances(gga, stamp_ns)
@@ -319,7 +326,7 @@ class NmeaStream:
         first_byte_ns = self._clock.filter(begun_ns, stated_ns)
         if self._utc is not None:
             late_ns = (self._utc(begun_ns) - stated_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
-            if _EARLY_NS <= late_ns <= _LATE_NS:
+            if _MIN_AGE_NS <= late_ns <= _MAX_AGE_NS:
                 return begun_ns - late_ns
             self.tally.add(RECEIVER_CLOCK, ClockEvent.NOT_UTC)
         return first_byte_ns - self._latency_ns

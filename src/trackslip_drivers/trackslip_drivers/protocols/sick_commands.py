@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands to a SICK scanner, and decoding of its short replies.
 
-Payloads only; ``sick_telegram.frame`` wraps them. A reply's code is the command's plus 0x80, and its last
+Payloads only; ``make_telegram`` wraps them. A reply's code is the command's plus 0x80, and its last
 byte is the scanner's status. ``sick_scan`` decodes scans (B0).
 """
 
@@ -76,7 +76,7 @@ class ResetDone:
 
 
 @dataclass(frozen=True)
-class Refused:
+class CommandRefused:
     """The scanner did not accept a command."""
 
 
@@ -101,7 +101,7 @@ class ErrorReport:
     entries: tuple[tuple[Severity, int], ...]
 
 
-Reply = PowerOn | ResetDone | Refused | ModeChanged | StatusReport | ErrorReport
+Reply = PowerOn | ResetDone | CommandRefused | ModeChanged | StatusReport | ErrorReport
 
 
 def installation_mode(password: bytes) -> bytes:
@@ -126,7 +126,7 @@ def parse_reply(payload: bytes) -> Reply | ReplyFault:
     if code == ReplyCode.RESET:
         return ResetDone()
     if code == ReplyCode.REFUSED:
-        return Refused()
+        return CommandRefused()
     if code == ReplyCode.STATUS:
         return StatusReport(content)
     if code == ReplyCode.MODE:

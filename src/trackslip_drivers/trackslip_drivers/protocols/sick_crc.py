@@ -18,13 +18,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 _POLYNOMIAL = 0x18005
-_LONGEST = 1024  # bytes summed at once; no telegram is longer
+_MAX_LENGTH = 1024  # bytes summed at once; no telegram is longer
 
 
 def _weights() -> NDArray[np.uint16]:
-    """(_LONGEST, 8): contribution of bit k of a byte followed by n others, at [n, k], n > 0."""
+    """(_MAX_LENGTH, 8): contribution of bit k of a byte followed by n others, at [n, k], n > 0."""
     powers, power = [], 1
-    for _ in range(_LONGEST + 7 + 7):
+    for _ in range(_MAX_LENGTH + 7 + 7):
         powers.append(power)
         power <<= 1
         power ^= _POLYNOMIAL if power > 0xFFFF else 0
@@ -36,7 +36,7 @@ _WEIGHTS = _weights()
 
 
 def sick_crc(data: bytes) -> int:
-    """The 16-bit checksum of the data before it, STX included; at most ``_LONGEST`` bytes."""
+    """The 16-bit checksum of the data before it, STX included; at most ``_MAX_LENGTH`` bytes."""
     before = np.frombuffer(data, dtype=np.uint8, count=len(data) - 1)
     bits = np.unpackbits(before, bitorder="little").reshape(-1, 8)
     return data[-1] ^ int(np.bitwise_xor.reduce(_WEIGHTS[len(before) : 0 : -1] * bits, axis=None))

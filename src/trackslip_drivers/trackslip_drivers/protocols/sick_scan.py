@@ -27,7 +27,7 @@ from trackslip_drivers.sick_parameters import SickParameters
 UintArray = NDArray[np.uint16]
 
 _DEGREE = math.pi / 180
-_FIELDS = {  # values: (degrees seen, steps a degree); an interlaced scan has one value less
+_SCAN_FIELDS = {  # values: (degrees seen, steps a degree); an interlaced scan has one value less
     361: (180, 2),
     360: (180, 2),
     181: (180, 1),
@@ -166,9 +166,9 @@ def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFa
     raw = parse_scan(telegram.payload)
     if isinstance(raw, ScanFault):
         return raw
-    if len(raw.values) not in _FIELDS:
+    if len(raw.values) not in _SCAN_FIELDS:
         return ScanFault.UNKNOWN_COUNT
-    field, steps = _FIELDS[len(raw.values)]
+    field, steps = _SCAN_FIELDS[len(raw.values)]
     increment = _DEGREE / steps
     sample = ScanSample(
         stamp_ns=telegram.start_ns + round((parameters.time_offset - parameters.scan_time) * _NS_PER_S),
@@ -180,10 +180,10 @@ def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFa
         range_max=parameters.range_max,
         ranges=ranges_of(raw, parameters),
     )
-    return Scan(_mirrored(sample) if parameters.clockwise else sample, DeviceStatus.from_byte(raw.status))
+    return Scan(_reverse_scan(sample) if parameters.clockwise else sample, DeviceStatus.from_byte(raw.status))
 
 
-def _mirrored(sample: ScanSample) -> ScanSample:
+def _reverse_scan(sample: ScanSample) -> ScanSample:
     """The scan in reverse order: its last ray is the first counter-clockwise."""
     steps = len(sample.ranges) - 1
     return sample._replace(

@@ -25,10 +25,10 @@ from typing import NamedTuple, TypeVar
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_commands import (
+    CommandRefused,
     ModeChanged,
     ModeResult,
     PowerOn,
-    Refused,
     Reply,
     ReplyCode,
     ReplyFault,
@@ -42,7 +42,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     Control,
     Telegram,
     TelegramParser,
-    frame,
+    make_telegram,
 )
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.stamping import BacklogDetector, PeriodicStamps, StampEvent
@@ -53,11 +53,11 @@ Answer = Reply | Control | None  # ACK: acknowledged, but no reply came; None: n
 
 _SOURCE = "scan"
 _OK = ModeChanged(ModeResult.OK)
-_INBOX = 16
-_ALL_VALUES = 732  # bytes of a telegram with 361 values
+_INBOX_SIZE = 16
+_FULL_SCAN_SIZE = 732  # bytes of a telegram with 361 values
 _MIRROR_TOLERANCE = 0.01  # relative, of the time of one turn
 _PATIENCE = 50  # scans
-_REFUSALS = 2  # of a rate; one of them may be a wrong byte
+_MAX_REFUSALS = 2  # of a rate; one of them may be a wrong byte
 _PASSWORD_PAUSE = 10.0  # s from a refusal (by a wrong scanner, or a wrong byte) to the next attempt
 _NS_PER_S = 1_000_000_000
 
@@ -95,7 +95,7 @@ class Action(NamedTuple):
 
 def scan_period(parameters: SickParameters, baud: int) -> float:
     """Time between scans of all values, s: the whole turns of the mirror that one telegram takes."""
-    transfer = _ALL_VALUES * parameters.bits_per_char / baud
+    transfer = _FULL_SCAN_SIZE * parameters.bits_per_char / baud
     return math.ceil(transfer / parameters.scan_time) * parameters.scan_time
 
 
@@ -114,10 +114,10 @@ class SickSession:
         self._parameters = parameters
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
         self._backlog = BacklogDetector()
-        self._starts: PeriodicStamps | None = None
+        self._start_filter: PeriodicStamps | None = None
         self._requested_baud = parameters.serial_baud  # or lower, if the scanner refuses it
         self._refusals = 0  # consecutive, of that rate
-        self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX)
+        self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX_SIZE)
         self._now_ns = 0
         self._last_byte_ns = 0
         self._last_scan_ns = 0
@@ -131,12 +131,12 @@ class SickSession:
             self._last_byte_ns = arrival_ns
         if self._backlog.is_backlog(self._transfer_ns(len(data)), arrival_ns):
             self.tally.add(_SOURCE, StampEvent.DELAYED, len(data))
-            self._parser.cut()
+            self._parser.discard_pending()
             self._last_scan_ns = arrival_ns  # the host was held up, the scanner was not silent
             return []
         scans: list[Scan] = []
         for event in self._parser.feed(data, arrival_ns):
-            result = event if isinstance(event, Control) else self._understand(event)
+            result = event if isinstance(event, Control) else self._decode_telegram(event)
             if isinstance(result, Scan):
                 scans.append(result)
             elif isinstance(result, (ScanFault, ReplyFault)):
@@ -157,21 +157,21 @@ class SickSession:
         """Begin to stop the stream; continue to step until ``phase`` is STOPPED, then close the port."""
         self._script = self._shut_down()
 
-    def _understand(self, telegram: Telegram) -> Scan | ScanFault | Reply | ReplyFault:
+    def _decode_telegram(self, telegram: Telegram) -> Scan | ScanFault | Reply | ReplyFault:
         if telegram.payload[0] != ReplyCode.SCAN:
             return commands.parse_reply(telegram.payload)
         if self.phase is not Phase.STREAMING:
             return ScanFault.NOT_STREAMING
         self._last_scan_ns = telegram.end_ns
-        if self._starts is not None:
-            telegram = replace(telegram, start_ns=self._starts.filter(telegram.start_ns))
+        if self._start_filter is not None:
+            telegram = replace(telegram, start_ns=self._start_filter.filter(telegram.start_ns))
         return decode_scan(telegram, self._parameters)
 
     def _run(self) -> Script[None]:
         while True:
             fault = yield from self._start_up()
             if fault is None:
-                fault = yield from self._stream()
+                fault = yield from self._watch_stream()
                 self._requested_baud, self._refusals = self._parameters.serial_baud, 0
             self.tally.add(_SOURCE, fault)
             if fault is SessionFault.PASSWORD:
@@ -187,10 +187,10 @@ class SickSession:
             found = self.baud
             fault = yield from self._change_baud()
             if fault is SessionFault.BAUD:
-                self._refuse(found)
+                self._count_rate_refusal(found)
             if fault is not None:
                 return fault
-        self._starts = self._steady_starts()
+        self._start_filter = self._make_start_filter()
         self.phase = Phase.STARTING
         if (yield from self._request(commands.STREAM_ALL)) != _OK:
             return SessionFault.REFUSED
@@ -208,7 +208,7 @@ class SickSession:
         for baud in dict.fromkeys((self._parameters.serial_baud, *commands.BAUD_CODES)):
             rates += [] if baud in rates else [baud, slow]
         for baud in rates:
-            self._switch_host(baud)
+            self._set_host_baud(baud)
             answer = yield from self._request(commands.STOP)
             if isinstance(answer, PowerOn):
                 answer = yield from self._request(commands.STOP)
@@ -232,18 +232,18 @@ class SickSession:
         answer = yield from self._request(command, self._parameters.baud_pause)
         if answer not in (_OK, Control.ACK):
             return SessionFault.BAUD
-        self._switch_host(self._requested_baud)
+        self._set_host_baud(self._requested_baud)
         yield from self._pause(self._parameters.baud_pause)
         return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.BAUD
 
-    def _refuse(self, found: int) -> None:
-        """Count a refusal of the rate; after ``_REFUSALS``, request the next lower one, or else ``found``."""
+    def _count_rate_refusal(self, found: int) -> None:
+        """Count a refusal of the rate; after ``_MAX_REFUSALS``, request the next lower one (or ``found``)."""
         self._refusals += 1
-        if self._refusals >= _REFUSALS:
+        if self._refusals >= _MAX_REFUSALS:
             lower = [baud for baud in commands.BAUD_CODES if baud < self._requested_baud]
             self._requested_baud, self._refusals = max(lower, default=found), 0
 
-    def _steady_starts(self) -> PeriodicStamps | None:
+    def _make_start_filter(self) -> PeriodicStamps | None:
         """Filter of the telegrams' starts, a turn apart, if the line keeps up with the mirror; else None.
 
         Without the filter, a telegram takes many reads, one of which is prompt.
@@ -253,8 +253,8 @@ class SickSession:
             return None
         return PeriodicStamps(turn * _NS_PER_S, _MIRROR_TOLERANCE, _PATIENCE)
 
-    def _stream(self) -> Script[SessionFault]:
-        """Wait while scans come; returns the fault that ends them."""
+    def _watch_stream(self) -> Script[SessionFault]:
+        """Wait while scans arrive; returns the fault that ends the stream."""
         self._last_scan_ns = self._last_byte_ns = self._now_ns
         while (
             self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * _NS_PER_S
@@ -274,7 +274,7 @@ class SickSession:
     def _request(self, command: bytes, reply_timeout: float | None = None) -> Script[Answer]:
         """Send a command, wait for its acknowledgement, then for its reply; returns the answer."""
         self._inbox.clear()
-        self._write = frame(command, TO_SENSOR)
+        self._write = make_telegram(command, TO_SENSOR)
         ack_ns = round(self._parameters.ack_timeout * _NS_PER_S)
         reply_ns = round((reply_timeout or self._parameters.mode_timeout) * _NS_PER_S)
         answer: Answer = None
@@ -287,7 +287,7 @@ class SickSession:
                 event = self._inbox.popleft()
                 if event is Control.ACK:
                     answer, deadline_ns = event, self._now_ns + reply_ns
-                elif event is Control.NAK or isinstance(event, (ModeChanged, Refused, PowerOn)):
+                elif event is Control.NAK or isinstance(event, (ModeChanged, CommandRefused, PowerOn)):
                     return event
             busy_until_ns = 0 if answer else min(self._last_byte_ns + ack_ns, latest_ns)
             if self._now_ns >= max(deadline_ns, busy_until_ns):
@@ -298,7 +298,7 @@ class SickSession:
         while self._now_ns < end_ns:
             yield
 
-    def _switch_host(self, baud: int) -> None:
+    def _set_host_baud(self, baud: int) -> None:
         if baud != self.baud:
             self.baud = self._new_baud = baud
             self._parser.set_baud(baud)

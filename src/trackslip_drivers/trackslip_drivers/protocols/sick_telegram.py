@@ -53,7 +53,7 @@ class Telegram:
     end_ns: int  # when its last byte had arrived
 
 
-def frame(payload: bytes, address: int) -> bytes:
+def make_telegram(payload: bytes, address: int) -> bytes:
     """Wrap a payload into a telegram.
 
     Raises:
@@ -88,7 +88,7 @@ class TelegramParser:
         self._buffer = bytearray()
         self._consumed = 0  # bytes of the stream before buffer[0]
         self._reads: deque[tuple[int, int]] = deque()  # (bytes of the stream up to its end, arrival_ns)
-        self._hunting = False  # within garbage
+        self._in_garbage = False  # within garbage
         self._last_arrival_ns: int | None = None
 
     @property
@@ -99,14 +99,14 @@ class TelegramParser:
     def set_baud(self, baud: int) -> None:
         """Change the line's rate; drops the bytes held, which came at the old one."""
         self._char_ns = self._bits_per_char * _NS_PER_S / baud
-        self.cut()
-        self._hunting = False
+        self.discard_pending()
+        self._in_garbage = False
 
-    def cut(self) -> None:
+    def discard_pending(self) -> None:
         """After a loss of bytes: drop the incomplete telegram, and treat the next bytes as garbage."""
         self._reject(TelegramFault.GARBAGE_BYTE, len(self._buffer))
-        self._drop(len(self._buffer))
-        self._hunting = True
+        self._discard_bytes(len(self._buffer))
+        self._in_garbage = True
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Telegram | Control]:
         """The telegrams and controls completed by one read, which returned at ``arrival_ns``.
@@ -116,45 +116,45 @@ class TelegramParser:
         events: list[Telegram | Control] = []
         silent = self._last_arrival_ns is None or arrival_ns - self._last_arrival_ns >= SILENCE_NS
         if data:
-            self._hunting &= not silent
+            self._in_garbage &= not silent
             self._last_arrival_ns = arrival_ns
             self._buffer += data
             self._reads.append((self._consumed + len(self._buffer), arrival_ns))
-            self._scan(events)
+            self._parse_buffer(events)
         elif silent:
             while self._buffer:
                 self._reject(TelegramFault.TRUNCATED)
                 self._reject(TelegramFault.GARBAGE_BYTE)
-                self._hunting = True
-                self._drop(1)
-                self._scan(events)
+                self._in_garbage = True
+                self._discard_bytes(1)
+                self._parse_buffer(events)
         return events
 
-    def _scan(self, events: list[Telegram | Control]) -> None:
+    def _parse_buffer(self, events: list[Telegram | Control]) -> None:
         """Move all complete items from the buffer to the events."""
         at = 0
         while at < len(self._buffer):
-            found = self._next_at(at)
+            found = self._parse_item(at)
             if found is None:
                 break
             if isinstance(found, TelegramFault):
                 if found is not TelegramFault.GARBAGE_BYTE:
                     self._reject(found)
                 self._reject(TelegramFault.GARBAGE_BYTE)
-                self._hunting = True
+                self._in_garbage = True
                 at += 1
             else:
                 events.append(found)
-                self._hunting = False
+                self._in_garbage = False
                 at += len(found.payload) + _OVERHEAD if isinstance(found, Telegram) else 1
-        self._drop(at)
+        self._discard_bytes(at)
 
-    def _next_at(self, at: int) -> Telegram | Control | TelegramFault | None:
+    def _parse_item(self, at: int) -> Telegram | Control | TelegramFault | None:
         """The item at an index of the buffer; None: it is incomplete."""
         buffer, held = self._buffer, len(self._buffer) - at
         if buffer[at] != STX:
             control = _CONTROLS.get(buffer[at])
-            return control if control and not self._hunting else TelegramFault.GARBAGE_BYTE
+            return control if control and not self._in_garbage else TelegramFault.GARBAGE_BYTE
         if held >= 2 and buffer[at + 1] != self._address:
             return TelegramFault.GARBAGE_BYTE
         if held < _HEADER:
@@ -180,7 +180,7 @@ class TelegramParser:
         bounds = (arrival - (end - index) * self._char_ns for end, arrival in self._reads if end > index)
         return round(min(bounds))
 
-    def _drop(self, count: int) -> None:
+    def _discard_bytes(self, count: int) -> None:
         """Drop bytes at the front of the buffer, and the reads that ended within them."""
         del self._buffer[:count]
         self._consumed += count

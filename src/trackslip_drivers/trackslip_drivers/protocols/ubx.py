@@ -25,14 +25,14 @@ from trackslip_drivers.protocols.nmea import (
 )
 
 _MM = 1e-3
-_WORST_STDDEV = 1e4  # m
-_FASTEST, _WORST_SPEED = 100.0, 10.0  # m/s, and of its standard deviation
+_MAX_STDDEV = 1e4  # m
+_MAX_SPEED, _MAX_SPEED_STDDEV = 100.0, 10.0  # m/s, and of its standard deviation
 _LEAP_MS = 18_000  # GPS ahead of UTC since 2017
 _DAY_MS = 86_400_000
 _NAV = 0x01
 _KINDS = {0x07: "NAV-PVT", 0x14: "NAV-HPPOSLLH", 0x36: "NAV-COV", 0x3C: "NAV-RELPOSNED"}
 _DEAD_RECKONING, _TWO_D, _THREE_D, _COMBINED = 1, 2, 3, 4  # types of a fix
-_FIXED = 2  # carrier-phase ambiguities; 1: float
+_FIXED_AMBIGUITIES = 2  # carrier-phase ambiguities; 1: float
 
 Stddevs = tuple[float, float, float]  # m, east, north, up; nan: unknown
 
@@ -96,10 +96,10 @@ def _pvt(found: Any) -> Reading | Rejection:
         return Rejection.DEAD_RECKONING if found.fixType == _DEAD_RECKONING else Rejection.NO_FIX
     if found.invalidLlh:
         return Rejection.NO_FIX
-    quality = {_FIXED: RTK_FIXED, 1: RTK_FLOAT}.get(found.carrSoln, 2 if found.diffSoln else 1)
+    quality = {_FIXED_AMBIGUITIES: RTK_FIXED, 1: RTK_FLOAT}.get(found.carrSoln, 2 if found.diffSoln else 1)
     altitude = math.nan if found.fixType == _TWO_D else found.height * _MM
-    if (refused := _place(found, altitude)) is not None:
-        return refused
+    if (rejection := _position_rejection(found, altitude)) is not None:
+        return rejection
     place = found.lat, found.lon, altitude
     return Pvt(_time_ns(found.iTOW), *place, quality, _accuracy(found), _velocity(found))
 
@@ -107,37 +107,37 @@ def _pvt(found: Any) -> Reading | Rejection:
 def _velocity(found: Any) -> Velocity | Rejection:
     """The velocity; an accuracy of 0 means unknown."""
     east, north, stddev = found.velE * _MM, found.velN * _MM, found.sAcc * _MM
-    if math.hypot(east, north) >= _FASTEST or stddev >= _WORST_SPEED:
+    if math.hypot(east, north) >= _MAX_SPEED or stddev >= _MAX_SPEED_STDDEV:
         return Rejection.OUT_OF_RANGE
     return Velocity(_time_ns(found.iTOW), east, north, stddev)
 
 
-def _fine(found: Any) -> Reading | Rejection:
+def _fine_position(found: Any) -> Reading | Rejection:
     if found.invalidLlh:
         return Rejection.NO_FIX
     altitude = found.height * _MM
-    place = _place(found, altitude)
-    return place or FinePosition(_time_ns(found.iTOW), found.lat, found.lon, altitude, _accuracy(found))
+    rejection = _position_rejection(found, altitude)
+    return rejection or FinePosition(_time_ns(found.iTOW), found.lat, found.lon, altitude, _accuracy(found))
 
 
 def _covariance(found: Any) -> Reading | Rejection:
     if not found.posCovValid:
         return Rejection.NO_FIX
     variances = (found.posCovEE, found.posCovNN, found.posCovDD)
-    if not all(0.0 < variance < _WORST_STDDEV**2 for variance in variances):
+    if not all(0.0 < variance < _MAX_STDDEV**2 for variance in variances):
         return Rejection.OUT_OF_RANGE
     east, north, up = map(math.sqrt, variances)
     return Accuracy(_time_ns(found.iTOW), (east, north, up))
 
 
-def _relative(found: Any) -> Reading | Rejection:
+def _moving_base_heading(found: Any) -> Reading | Rejection:
     if not found.gnssFixOK:
         return Rejection.NO_FIX
     if not (found.relPosValid and getattr(found, "relPosHeadingValid", 0)):
         return Rejection.NO_HEADING
     if not found.isMoving:
         return Rejection.NO_PAIR
-    if found.carrSoln != _FIXED:
+    if found.carrSoln != _FIXED_AMBIGUITIES:
         return Rejection.NOT_FIXED
     if not 0.0 <= found.relPosHeading <= 360.0:
         return Rejection.OUT_OF_RANGE
@@ -145,7 +145,7 @@ def _relative(found: Any) -> Reading | Rejection:
     return Heading(_time_ns(found.iTOW), yaw_of_heading(found.relPosHeading), stddev)
 
 
-def _place(found: Any, altitude: float) -> Rejection | None:
+def _position_rejection(found: Any, altitude: float) -> Rejection | None:
     in_range = abs(found.lat) <= 90.0 and abs(found.lon) <= 180.0
     return None if in_range and not abs(altitude) > 1e5 else Rejection.OUT_OF_RANGE
 
@@ -153,7 +153,7 @@ def _place(found: Any, altitude: float) -> Rejection | None:
 def _accuracy(found: Any) -> Stddevs:
     """(east, north, up): hAcc for each horizontal axis, which is conservative; 0 means unknown."""
     horizontal, up = (
-        value * _MM if 0.0 < value * _MM < _WORST_STDDEV else math.nan for value in (found.hAcc, found.vAcc)
+        value * _MM if 0.0 < value * _MM < _MAX_STDDEV else math.nan for value in (found.hAcc, found.vAcc)
     )
     return horizontal, horizontal, up
 
@@ -163,4 +163,9 @@ def _time_ns(time_of_week_ms: int) -> int:
     return (time_of_week_ms - _LEAP_MS) % _DAY_MS * 1_000_000
 
 
-_DECODERS = {"NAV-PVT": _pvt, "NAV-HPPOSLLH": _fine, "NAV-COV": _covariance, "NAV-RELPOSNED": _relative}
+_DECODERS = {
+    "NAV-PVT": _pvt,
+    "NAV-HPPOSLLH": _fine_position,
+    "NAV-COV": _covariance,
+    "NAV-RELPOSNED": _moving_base_heading,
+}

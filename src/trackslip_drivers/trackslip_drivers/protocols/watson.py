@@ -89,17 +89,17 @@ class Channel:
         return len(self.format.partition(".")[2])
 
     @cached_property
-    def largest(self) -> float:
+    def max_value(self) -> float:
         """Largest magnitude of a field: full scale, or all digits 9 if that is less."""
         return min(self.full_scale, float(re.sub("0", "9", self.format)))
 
-    def field(self, value: float) -> str:
+    def format_value(self, value: float) -> str:
         """The value as the unit prints it, clamped to the field."""
-        largest = self.largest
-        return format(min(max(value, -largest), largest), self._printed)
+        largest = self.max_value
+        return format(min(max(value, -largest), largest), self._format_spec)
 
     @cached_property
-    def _printed(self) -> str:
+    def _format_spec(self) -> str:
         """Format specification of the field."""
         sign = "+" if self.format.startswith("+") else ""
         return f"{sign}0{len(self.format)}.{self.decimals}f"
@@ -151,7 +151,7 @@ class Reading:
 
 def encode_line(label: str, values: Mapping[str, float], layout: Layout) -> bytes:
     """A decimal line; missing channels are zero, values beyond their field are clamped."""
-    fields = [channel.field(values.get(channel.name, 0.0)) for channel in layout.channels]
+    fields = [channel.format_value(values.get(channel.name, 0.0)) for channel in layout.channels]
     return " ".join([label, *fields]).encode("ascii") + TERMINATOR
 
 
@@ -180,7 +180,7 @@ def decode_line(line: bytes, layout: Layout) -> Reading | Rejection:
         if not channel.matches(field):
             return Rejection.MALFORMED
         value = float(field)
-        over_range |= abs(value) >= channel.largest
+        over_range |= abs(value) >= channel.max_value
         values[channel.name] = value
     return Reading(values, over_range)
 
@@ -199,7 +199,7 @@ def decode_frame(frame: bytes, layout: Layout) -> Reading | Rejection:
     return Reading(values, over_range)
 
 
-def wrong_count(line: bytes, layout: Layout) -> str:
+def count_mismatch(line: bytes, layout: Layout) -> str:
     """Text with the length of a line or frame, and the expected length."""
     if line and line[0] < _BIT_7:
         return f"{len(line.split()) - 1} fields, {len(layout.channels)} expected"

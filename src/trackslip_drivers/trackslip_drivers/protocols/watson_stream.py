@@ -3,17 +3,17 @@
 """Splits the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
 
 from trackslip_common.tally import Tally
-from trackslip_drivers.protocols.lines import Line, LineCutter
+from trackslip_drivers.protocols.lines import Line, LineSplitter
 from trackslip_drivers.protocols.watson import (
     BITS_PER_CHAR,
     TERMINATOR,
     Layout,
     Reading,
     Rejection,
+    count_mismatch,
     decode_frame,
     decode_line,
     to_sample,
-    wrong_count,
 )
 from trackslip_drivers.records import ImuSample
 from trackslip_drivers.stamping import BacklogDetector, PeriodicStamps, StampEvent
@@ -43,7 +43,7 @@ class WatsonStream:
         self._layout = layout
         self._time_offset_ns = time_offset_ns
         limit = 4 * layout.line_length  # a banner's line may be longer than a line of data
-        self._lines = LineCutter(TERMINATOR, limit, BITS_PER_CHAR, baud)
+        self._lines = LineSplitter(TERMINATOR, limit, BITS_PER_CHAR, baud)
         self._stamps = PeriodicStamps(_LINE_PERIOD_NS, _CLOCK_TOLERANCE, _PATIENCE)
         self.reset()
 
@@ -63,7 +63,7 @@ class WatsonStream:
             self.tally.add(IMU, StampEvent.DELAYED, len(data))
             self._lines.reset()
             return []
-        decoded = [self._finish(line) for line in self._lines.feed(data, arrival_ns)]
+        decoded = [self._decode_sample(line) for line in self._lines.feed(data, arrival_ns)]
         return [sample for sample in decoded if sample is not None]
 
     def reset(self) -> None:
@@ -72,7 +72,7 @@ class WatsonStream:
         self._lines.reset()
         self._stamps.restart()
 
-    def _finish(self, line: Line) -> ImuSample | None:
+    def _decode_sample(self, line: Line) -> ImuSample | None:
         """The sample of a complete line; None if it is rejected, which is counted."""
         if line.text is None:
             self.tally.add(IMU, Rejection.OVERLONG)
@@ -83,7 +83,7 @@ class WatsonStream:
             stamp_ns = self._stamps.filter(stamp_ns)
         result = reading if isinstance(reading, Rejection) else to_sample(reading, stamp_ns)
         if isinstance(result, Rejection):
-            detail = wrong_count(line.text, self._layout) if result is Rejection.WRONG_COUNT else ""
+            detail = count_mismatch(line.text, self._layout) if result is Rejection.WRONG_COUNT else ""
             self.tally.add(IMU, result, detail=detail)
             return None
         if result.magnetic_field is None and self._layout.has_field:

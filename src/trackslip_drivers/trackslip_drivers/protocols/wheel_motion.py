@@ -23,9 +23,9 @@ from trackslip_drivers.wheel_parameters import WheelParameters
 class Rejection(Enum):
     """Reason for the rejection of a message."""
 
-    JOINTS = "lacks a joint"
-    LENGTHS = "names and values differ in number"
-    NOTHING = "has neither positions nor velocities"
+    MISSING_JOINT = "lacks a joint"
+    LENGTH_MISMATCH = "names and values differ in number"
+    NO_VALUES = "has neither positions nor velocities"
     NOT_A_NUMBER = "not a number"
 
 
@@ -55,40 +55,40 @@ class JointMotion:
         positions = positions if self._uses != "velocities" else ()
         velocities = velocities if self._uses != "positions" else ()
         if {len(positions), len(velocities)} - {0, len(names)}:
-            return Rejection.LENGTHS
+            return Rejection.LENGTH_MISMATCH
         if not positions and not velocities:
-            return Rejection.NOTHING
-        at = {name: k for k, name in enumerate(names)}
-        if any(name not in at for joints, _ in self._sides for name in joints):
-            return Rejection.JOINTS
-        continuous = self._continuous(stamp_ns, positions, velocities, at)
-        angles, speeds = self._of_sides(continuous, at), self._of_sides(velocities, at)
+            return Rejection.NO_VALUES
+        index = {name: k for k, name in enumerate(names)}
+        if any(name not in index for joints, _ in self._sides for name in joints):
+            return Rejection.MISSING_JOINT
+        continuous = self._unwrapped_positions(stamp_ns, positions, velocities, index)
+        angles, speeds = self._side_means(continuous, index), self._side_means(velocities, index)
         if not velocities:
-            speeds = self._differenced(stamp_ns, angles)
+            speeds = self._differenced_speeds(stamp_ns, angles)
         if not all(map(math.isfinite, (*speeds, *(angles if positions else ())))):
             return Rejection.NOT_A_NUMBER
         return SprocketSample(stamp_ns, *angles, *speeds)
 
-    def _continuous(
-        self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float], at: Mapping[str, int]
+    def _unwrapped_positions(
+        self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float], index: Mapping[str, int]
     ) -> Sequence[float]:
         """The positions; those of the sides' joints without the jumps of a wrap."""
         found = list(positions)
         for name, turns in self._turns.items() if found else ():
-            k = at[name]
+            k = index[name]
             found[k] = turns.continuous(stamp_ns, found[k], velocities[k] if velocities else math.nan)
         return found
 
-    def _of_sides(self, values: Sequence[float], at: Mapping[str, int]) -> tuple[float, float]:
+    def _side_means(self, values: Sequence[float], index: Mapping[str, int]) -> tuple[float, float]:
         if not values:
             return math.nan, math.nan
         left, right = (
-            ratio * math.fsum(values[at[name]] for name in joints) / len(joints)
+            ratio * math.fsum(values[index[name]] for name in joints) / len(joints)
             for joints, ratio in self._sides
         )
         return left, right
 
-    def _differenced(self, stamp_ns: int, angles: tuple[float, float]) -> tuple[float, float]:
+    def _differenced_speeds(self, stamp_ns: int, angles: tuple[float, float]) -> tuple[float, float]:
         """Differenced positions, rad/s; zero for the first. The estimator prefers the positions."""
         last, self._last = self._last, (stamp_ns, angles)
         if last is None or stamp_ns <= last[0]:
@@ -97,7 +97,7 @@ class JointMotion:
         return (angles[0] - last[1][0]) / seconds, (angles[1] - last[1][1]) / seconds
 
 
-def of_speeds(stamp_ns: int, v: float, rate: float, p: WheelParameters) -> SprocketSample | Rejection:
+def sample_of_speeds(stamp_ns: int, v: float, rate: float, p: WheelParameters) -> SprocketSample | Rejection:
     """The sample of a base controller's speeds; its positions are nan."""
     if not (math.isfinite(v) and math.isfinite(rate)):
         return Rejection.NOT_A_NUMBER

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError
 from trackslip_drivers.nmea_parameters import NtripParameters
-from trackslip_drivers.protocols.gnss_frames import FrameCutter, Kind
+from trackslip_drivers.protocols.gnss_frames import FrameSplitter, Kind
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 STALL_S = 10.0  # without a byte, after which the connection is made again
@@ -260,7 +260,7 @@ class NtripClient:
         return response
 
     def _forward_messages(self, line: socket.socket, response: HTTPResponse) -> None:
-        cutter, receiver, other_bytes = FrameCutter(0), _RateLimiter(self._max_rate), 0
+        splitter, receiver, other_bytes = FrameSplitter(0), _RateLimiter(self._max_rate), 0
         sent_s = time.monotonic()
         while not self._stopping.is_set():
             data = response.read1(_READ_SIZE)
@@ -269,7 +269,7 @@ class NtripClient:
             now_s = time.monotonic()
             receiver.count_bytes(len(data), now_s)
             other_bytes += len(data)
-            for frame in cutter.feed(data, time.monotonic_ns()):
+            for frame in splitter.feed(data, time.monotonic_ns()):
                 if frame.kind is Kind.RTCM:
                     other_bytes = 0
                     is_sent = receiver.reserve(len(frame.content), now_s)

@@ -26,7 +26,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     Telegram,
     TelegramFault,
     TelegramParser,
-    frame,
+    make_telegram,
 )
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_sim.devices.line import BaudLine
@@ -159,7 +159,7 @@ class SickDevice:
         if self._mode is Mode.MINIMA:
             ranges = np.fmin(ranges[0:-1:2], ranges[1::2])
         scan = RawScan(values_of(ranges, self._parameters), self.status)
-        self._line.send(frame(scan.payload(), FROM_SENSOR), complete_ns)
+        self._line.send(make_telegram(scan.payload(), FROM_SENSOR), complete_ns)
         self._leaving.append((self._line.busy_until_ns, stamp_ns))
         self._scan_requested = False
 
@@ -212,4 +212,4 @@ class SickDevice:
         return self._in_installation or self._parameters.model == "lms"
 
     def _send(self, payload: bytes, at_ns: int) -> None:
-        self._line.send(frame(payload + bytes((self.status,)), FROM_SENSOR), at_ns)
+        self._line.send(make_telegram(payload + bytes((self.status,)), FROM_SENSOR), at_ns)

@@ -109,7 +109,7 @@ class WatsonDevice:
         values = from_sample(sample)
         if self._binary:
             return encode_frame(values, self._layout)
-        beyond = any(abs(values[c.name]) > c.largest for c in self._layout.channels if c.name in values)
+        beyond = any(abs(values[c.name]) > c.max_value for c in self._layout.channels if c.name in values)
         label = self._label.lower() if sample.over_range or beyond else self._label
         return encode_line(label, values, self._layout)
 
