@@ -145,7 +145,7 @@ def _value(value: Any) -> str:
 def _range(spec: Spec) -> str:
     if not (spec.choices or _is_bounded(spec)):
         return ""
-    return spec.accepted().removeprefix("one of ").removesuffix(spec.unit).strip()
+    return spec.accepted_range().removeprefix("one of ").removesuffix(spec.unit).strip()
 
 
 def _is_bounded(spec: Spec) -> bool:

@@ -20,8 +20,8 @@ from trackslip_bags.types import ensure
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS, PoseFields, SprocketFields
-from trackslip_common.message_reading import places_of
 from trackslip_common.message_reading import read as read_record
+from trackslip_common.message_reading import selectors_of
 
 JOINTS, IMU, REPORT = (
     "sensor_msgs/msg/JointState",
@@ -118,7 +118,7 @@ def test_rows_hold_what_live_reads(type_name: str, messages: list[Any], tmp_path
 @pytest.mark.parametrize("type_name", RECORDS)
 def test_every_record_class_fits_its_message(type_name: str, tmp_path: Path) -> None:
     kind, message = RECORDS[type_name], make(type_name)
-    assert list(places_of(kind)) == list(kind._fields)
+    assert list(selectors_of(kind)) == list(kind._fields)
     with bag_of(tmp_path / "bag", type_name, [serialize(message)]) as bag:
         (table,) = tables(bag)
         np.testing.assert_equal(numbers(table.rows(kind), table.texts), expected(kind, [message]))

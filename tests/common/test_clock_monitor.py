@@ -14,7 +14,7 @@ IN_LINE, AHEAD, BEHIND, BACK = StampStatus
 
 def statuses(stamps: list[float], oldest: float | None = None) -> list[StampStatus]:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    return [monitor.sample(round(s * S), None if oldest is None else round(oldest * S)) for s in stamps]
+    return [monitor.check_sample(round(s * S), None if oldest is None else round(oldest * S)) for s in stamps]
 
 
 def test_one_sample_far_ahead_is_refused_and_the_head_stays() -> None:
@@ -48,10 +48,10 @@ def test_gap_limit_applies_again_once_samples_are_faster() -> None:
 
 def test_slow_samples_confirm_a_clock_set_back() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    assert monitor.later_sample(1000 * S) is IN_LINE
-    steps = [monitor.later_sample(round((1000.0 + s) * S)) for s in SLOW[1:]]
+    assert monitor.check_increasing_sample(1000 * S) is IN_LINE
+    steps = [monitor.check_increasing_sample(round((1000.0 + s) * S)) for s in SLOW[1:]]
     assert steps[-1] is IN_LINE
-    back = [monitor.later_sample(round((s + 1.0) * S)) for s in SLOW[:CONFIRMATIONS]]
+    back = [monitor.check_increasing_sample(round((s + 1.0) * S)) for s in SLOW[:CONFIRMATIONS]]
     assert back == [*[BEHIND] * (CONFIRMATIONS - 1), BACK]
 
 
@@ -71,12 +71,12 @@ def test_consistent_samples_behind_confirm_a_clock_set_back() -> None:
 
 
 def late(monitor: ClockMonitor, stamps: list[float], contradicts: bool) -> list[StampStatus]:
-    return [monitor.sample(round(s * S), 0, contradicts=contradicts) for s in stamps]
+    return [monitor.check_sample(round(s * S), 0, contradicts=contradicts) for s in stamps]
 
 
 def test_contradicting_late_samples_confirm_a_clock_set_back() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    monitor.sample(9 * S, 0)
+    monitor.check_sample(9 * S, 0)
     assert late(monitor, [8.1, 8.2], contradicts=True) == [IN_LINE] * 2
     assert late(monitor, [8.3, 8.4], contradicts=False) == [IN_LINE] * 2  # by chance: neither counted
     assert late(monitor, [8.5, 8.6], contradicts=True) == [IN_LINE, BACK]  # nor a reset of the count
@@ -84,7 +84,7 @@ def test_contradicting_late_samples_confirm_a_clock_set_back() -> None:
 
 def test_consistent_late_samples_show_no_clock_jump() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    monitor.sample(9 * S, 0)
+    monitor.check_sample(9 * S, 0)
     assert set(late(monitor, [7.0 + k / 100.0 for k in range(3 * CONFIRMATIONS)], contradicts=False)) == {
         IN_LINE
     }
@@ -93,14 +93,14 @@ def test_consistent_late_samples_show_no_clock_jump() -> None:
 @pytest.mark.parametrize("interruption", [[9.1], [8.0]])
 def test_a_new_head_or_a_step_down_ends_the_late_streak(interruption: list[float]) -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    monitor.sample(9 * S, 0)
+    monitor.check_sample(9 * S, 0)
     streak = late(monitor, [8.1, 8.2, 8.3], contradicts=True)
     assert set(streak + late(monitor, [*interruption, 8.4, 8.5], contradicts=True)) == {IN_LINE}
 
 
 def test_other_sources_confirm_nothing() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    assert monitor.other(HOUR_NS) is IN_LINE  # no clock for comparison yet
-    monitor.sample(S)
-    assert {monitor.other(HOUR_NS + k) for k in range(3 * CONFIRMATIONS)} == {AHEAD}
-    assert monitor.other(S + GAP_NS) is IN_LINE
+    assert monitor.check_other(HOUR_NS) is IN_LINE  # no clock for comparison yet
+    monitor.check_sample(S)
+    assert {monitor.check_other(HOUR_NS + k) for k in range(3 * CONFIRMATIONS)} == {AHEAD}
+    assert monitor.check_other(S + GAP_NS) is IN_LINE

@@ -43,7 +43,7 @@ NODES: dict[str, tuple[type[Parameters], tuple[str, ...]]] = {
 @pytest.mark.parametrize("node", NODES)
 def test_each_node_has_a_default_for_each_parameter(node: str) -> None:
     kind, files = NODES[node]
-    values = kind.overlaid({}, node_defaults(node, *files))
+    values = kind.overlay({}, node_defaults(node, *files))
     record = load_parameters(kind, node, files)
     flat = to_flat(record)
     assert values == {name: flat[name] for name in values}

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from trackslip_common.json_records import parse_line, record
+from trackslip_common.json_records import make_record, parse_line
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ GOOD: dict[str, Any] = {"name": "a", "error": 1, "seeds": 2, "passed": True, "in
 
 
 def test_written_record_is_read() -> None:
-    piece = record(Piece, GOOD)
+    piece = make_record(Piece, GOOD)
     assert piece == Piece("a", 1.0, 2, True, (0.1, 1.0))
     assert isinstance(piece.error, float)
-    assert record(Score, {"nis": {"box_pose": 1}, "count": 3}) == Score({"box_pose": 1.0}, 3)
+    assert make_record(Score, {"nis": {"box_pose": 1}, "count": 3}) == Score({"box_pose": 1.0}, 3)
 
 
 @pytest.mark.parametrize(
@@ -44,13 +44,13 @@ def test_written_record_is_read() -> None:
 )
 def test_value_of_another_type_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(TypeError):
-        record(Piece, GOOD | changes)
+        make_record(Piece, GOOD | changes)
 
 
 @pytest.mark.parametrize("entry", [None, [], "a", {}, {"name": "a"}], ids=str)
 def test_entry_that_is_no_record_is_refused(entry: Any) -> None:
     with pytest.raises(TypeError):
-        record(Piece, entry)
+        make_record(Piece, entry)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from trackslip_common.parameter_record import record_of
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.vehicle import Vehicle
-from trackslip_common.vehicle_files import WithVehicle, load_vehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle, load_vehicle
 
 
 class Part(Record):
@@ -58,7 +58,7 @@ class Numbers(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Machine(Numbers, WithVehicle):
+class Machine(Numbers, ParametersWithVehicle):
     """Parameters with a text and a vehicle, which records cannot hold as they are."""
 
     frame: str = parameter("a text")

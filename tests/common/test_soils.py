@@ -83,7 +83,8 @@ def test_every_field_refuses_the_impossible(field, bad):
     with pytest.raises(InputError) as refused:
         Soil(name="x", **values)
     assert (
-        str(refused.value) == f"soil 'x': {field} = {bad!r} is refused; accepted: {RANGES[field].accepted()}"
+        str(refused.value)
+        == f"soil 'x': {field} = {bad!r} is refused; accepted: {RANGES[field].accepted_range()}"
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.turns import TurnCounter, continuous
+from trackslip_common.turns import TurnCounter, unwrap_angles
 
 RATE = 50.0  # Hz
 TIMES = np.arange(500) / RATE
@@ -26,19 +26,19 @@ def wrapped(angles: np.ndarray, first: float, turn: float = math.tau) -> np.ndar
 def test_angles_that_wrap_are_followed(first: float, speed: float) -> None:
     """At 70 rad/s an angle moves by more than a fifth of a turn between two samples."""
     angles = 0.3 + speed * TIMES + 0.5 * np.sin(3.0 * TIMES)
-    found = continuous(STAMPS_NS, wrapped(angles, first))
+    found = unwrap_angles(STAMPS_NS, wrapped(angles, first))
     np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
 
 
 def test_angles_that_turn_back_at_the_end_of_a_turn_are_followed() -> None:
     angles = math.pi + 0.2 * np.sin(7.0 * TIMES)
-    found = continuous(STAMPS_NS, wrapped(angles, -math.pi))
+    found = unwrap_angles(STAMPS_NS, wrapped(angles, -math.pi))
     np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
 
 
 def test_angles_of_another_unit() -> None:
     angles = 400.0 * TIMES
-    found = continuous(STAMPS_NS, wrapped(angles, 0.0, 360.0), turn=360.0)
+    found = unwrap_angles(STAMPS_NS, wrapped(angles, 0.0, 360.0), turn=360.0)
     np.testing.assert_allclose(found, angles, atol=1e-9)
 
 
@@ -51,30 +51,30 @@ def test_continuous_angles_are_unchanged_bit_for_bit(start, speeds, factor):
     """In the node, which receives angles one by one, and in the import, which has all of them."""
     angles = start + np.cumsum(speeds) * min(factor, 1.5 * math.pi / 3.0 - 1e-6)
     stamps_ns = np.arange(len(angles)) * 20_000_000
-    assert continuous(stamps_ns, angles).tobytes() == angles.tobytes()
+    assert unwrap_angles(stamps_ns, angles).tobytes() == angles.tobytes()
     counter = TurnCounter()
-    one_by_one = [counter.continuous(*row) for row in zip(stamps_ns.tolist(), angles.tolist(), strict=True)]
+    one_by_one = [counter.unwrap(*row) for row in zip(stamps_ns.tolist(), angles.tolist(), strict=True)]
     assert np.array(one_by_one).tobytes() == angles.tobytes()
 
 
 def test_angle_jump_that_the_speed_confirms_is_no_wrap() -> None:
     """Two samples of a fast joint at 1 Hz, both within one turn."""
     stamps_ns, angles = np.array((0, 10**9)), np.array((0.5, 6.0))
-    assert continuous(stamps_ns, angles, np.array((5.4, 5.6))).tolist() == [0.5, 6.0]
-    assert continuous(stamps_ns, angles, np.array((0.0, -0.8)))[1] == pytest.approx(6.0 - math.tau)
-    assert continuous(stamps_ns, angles, np.zeros(2))[1] == pytest.approx(6.0 - math.tau)
+    assert unwrap_angles(stamps_ns, angles, np.array((5.4, 5.6))).tolist() == [0.5, 6.0]
+    assert unwrap_angles(stamps_ns, angles, np.array((0.0, -0.8)))[1] == pytest.approx(6.0 - math.tau)
+    assert unwrap_angles(stamps_ns, angles, np.zeros(2))[1] == pytest.approx(6.0 - math.tau)
 
 
 def test_jump_after_a_gap_is_not_unwrapped() -> None:
     angles = np.array((0.5, 6.0))
-    assert continuous(np.array((0, 3 * 10**9)), angles).tolist() == [0.5, 6.0]
-    assert continuous(np.array((0, 10**8)), angles)[1] == pytest.approx(6.0 - math.tau)
+    assert unwrap_angles(np.array((0, 3 * 10**9)), angles).tolist() == [0.5, 6.0]
+    assert unwrap_angles(np.array((0, 10**8)), angles)[1] == pytest.approx(6.0 - math.tau)
 
 
 def test_nan_angles_are_skipped() -> None:
     angles = wrapped(5.0 * TIMES, -math.pi)
     angles[::7] = math.nan
-    found = continuous(STAMPS_NS, angles)
+    found = unwrap_angles(STAMPS_NS, angles)
     assert np.isnan(found[::7]).all()
     known = np.isfinite(found)
     np.testing.assert_allclose(found[known], (5.0 * TIMES)[known], atol=1e-9)
@@ -83,5 +83,5 @@ def test_nan_angles_are_skipped() -> None:
 def test_angle_beyond_one_turn_is_continuous() -> None:
     """The first step may be unwrapped wrongly; no later one is."""
     counter = TurnCounter()
-    found = [counter.continuous(k * 100_000_000, angle) for k, angle in enumerate((0.2, 5.9, 11.6, 17.3))]
+    found = [counter.unwrap(k * 100_000_000, angle) for k, angle in enumerate((0.2, 5.9, 11.6, 17.3))]
     assert np.diff(found[1:]) == pytest.approx([5.7, 5.7])

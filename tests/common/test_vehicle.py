@@ -13,11 +13,11 @@ from trackslip_common.config_files import config_directory
 from trackslip_common.errors import InputError
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle_files import (
-    ASSUMED,
+    DEFAULT_VEHICLE,
     load_vehicle,
+    parse_vehicle,
     vehicle_layer,
     vehicle_names,
-    vehicle_of_text,
     vehicle_text,
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -39,7 +39,7 @@ def file(tmp_path: Path) -> Path:
 def test_vehicle_is_unchanged_by_its_topic(name: str) -> None:
     vehicle = load_vehicle(name)
     assert vehicle.name == name
-    assert vehicle_of_text(vehicle_text(vehicle), "vehicle") == vehicle
+    assert parse_vehicle(vehicle_text(vehicle), "vehicle") == vehicle
 
 
 def test_kinematics_are_enough_for_pose_and_slips_but_not_for_soil(file: Path) -> None:
@@ -69,7 +69,7 @@ def test_named_vehicle_replaces_another_and_single_numbers_override_it(file: Pat
     )
     assert (p.vehicle.name, p.vehicle.hydraulics) == ("digger", None)
     assert (p.vehicle.kinematics.tread, p.vehicle.kinematics.rolling_radius) == (2.1, 0.31)
-    assert load_slip_parameters().vehicle == load_vehicle(ASSUMED)
+    assert load_slip_parameters().vehicle == load_vehicle(DEFAULT_VEHICLE)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_vehicle_inherits_unspecified_values_from_its_base() -> None:
     assert cab.name == "pc05_cab"
     assert cab.mount_of("imu") == "upper"
     assert base.mount_of("imu") == "undercarriage"
-    assert vehicle_of_text(vehicle_text(cab), "vehicle") == cab
+    assert parse_vehicle(vehicle_text(cab), "vehicle") == cab
 
 
 def test_a_base_with_a_base_is_refused(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_variant_is_named_after_its_file_or_its_own_name(own: str, name: str, tm
     variant, base = load_vehicle(str(path)), load_vehicle("excavator_20t")
     assert (variant.name, base.name) == (name, "excavator_20t")
     assert (variant.mass, variant.hydraulics) == (base.mass, base.hydraulics)
-    assert vehicle_of_text(vehicle_text(variant), "vehicle").name == name
+    assert parse_vehicle(vehicle_text(variant), "vehicle").name == name
     assert load_slip_parameters({"vehicle": str(path)}).vehicle.name == name
 
 

@@ -17,7 +17,7 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_directory, load_parameters
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle_files import load_vehicle, vehicle_of_text, vehicle_text
+from trackslip_common.vehicle_files import load_vehicle, parse_vehicle, vehicle_text
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
 from trackslip_estimation.box.parameters import DEFAULT_FILES as BOX_FILES
@@ -65,7 +65,7 @@ def vehicle(_: Path) -> Reader:
     def read(path: Path) -> None:
         found = load_vehicle(str(path))
         load_slip_parameters({"vehicle": str(path)})
-        assert vehicle_of_text(vehicle_text(found), "again") is not None
+        assert parse_vehicle(vehicle_text(found), "again") is not None
 
     return Reader(_config("vehicles/*.yaml"), read)
 

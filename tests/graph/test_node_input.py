@@ -14,7 +14,7 @@ from fixtures.programs import ros_arguments
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.run import run
-from trackslip_common.vehicle_files import load_vehicle, vehicle_of_text
+from trackslip_common.vehicle_files import load_vehicle, parse_vehicle
 from trackslip_drivers.nodes.can_driver import CanDriverNode
 from trackslip_drivers.nodes.sick_pls import SickNode
 from trackslip_drivers.nodes.watson_imu import WatsonNode
@@ -205,7 +205,7 @@ def test_parameters_of_other_nodes_in_a_common_section_are_ignored(programs, obs
         programs.node(node, "--params-file", str(config))
     observer.wait_until_active("slip_estimator", "record")
     observer.wait(lambda: vehicle, "the vehicle")
-    assert vehicle_of_text(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
+    assert parse_vehicle(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
 
 
 def test_soil_estimator_without_hydraulics_names_the_missing_groups(programs, observer):

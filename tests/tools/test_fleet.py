@@ -25,7 +25,7 @@ from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode, InputError, collected, show
-from trackslip_common.vehicle_files import IS_ASSUMED, load_vehicle, vehicle_text
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import find_bags, is_folder
@@ -99,7 +99,7 @@ def test_number_of_workers_does_not_change_results_and_a_broken_bag_is_one_line(
     assert [Path(entry["bag"]).name for entry in entries] == ["a", "b", "d"]
     assert [entry["exit_code"] for entry in entries] == [ExitCode.DONE, ExitCode.BAD_INPUT, ExitCode.DONE]
     assert "cannot be read" in entries[1]["error"]
-    assert entries[2]["notes"] == ["note: power_cut_0.mcap: cut short", IS_ASSUMED]
+    assert entries[2]["notes"] == ["note: power_cut_0.mcap: cut short", DEFAULT_VEHICLE_NOTE]
     assert entries[0]["rmse"]["filter"] < 0.02
     printed = capsys.readouterr()
     assert "vehicles: pc05 (assumed) (2)" in printed.out

@@ -30,7 +30,7 @@ def test_file_loads_and_its_receiver_is_the_source_of_poses(tmp_path: Path) -> N
     assert new(tmp_path, "--mass", "20000", "--tread", "2.4") == ExitCode.DONE
     vehicle = load_vehicle(str(tmp_path / "digger.yaml"))
     assert (vehicle.name, vehicle.kinematics.tread) == ("digger", 2.4)
-    assert vehicle.lacks == "vehicle 'digger' has no hydraulics"
+    assert vehicle.missing_groups_message == "vehicle 'digger' has no hydraulics"
     p = load_slip_parameters(vehicle_layer(vehicle))
     assert p.pose_sources == ("gnss_pose",)
     assert p.poses()["gnss_pose"].lever[2] > 1.0

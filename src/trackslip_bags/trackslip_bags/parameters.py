@@ -13,7 +13,7 @@ from trackslip_bags.reader import Bag, absolute
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle import VehicleParameters
-from trackslip_common.vehicle_files import TOPIC, WithVehicle, names_vehicle, vehicle_of_text
+from trackslip_common.vehicle_files import TOPIC, ParametersWithVehicle, has_vehicle_name, parse_vehicle
 from trackslip_common.yaml_text import parse_yaml
 
 PARAMETERS_TOPIC = "slip_estimator/parameters"
@@ -44,12 +44,12 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
     for message in bag.messages([TOPIC]):
         if message.type_name != PARAMETERS_TYPE:
             break  # a foreign topic of that name
-        return vehicle_of_text(bag.deserialize(message.raw, message.type_name).data, f"{where}: {TOPIC}")
+        return parse_vehicle(bag.deserialize(message.raw, message.type_name).data, f"{where}: {TOPIC}")
     values = bag_parameters(bag)
-    if not names_vehicle(values):
+    if not has_vehicle_name(values):
         return None
     own = {name: value for name, value in values.items() if name.startswith(f"{TOPIC}.")}
-    return from_flat(WithVehicle, own, where).vehicle
+    return from_flat(ParametersWithVehicle, own, where).vehicle
 
 
 def namespaces(bag: Bag) -> list[str]:

@@ -24,7 +24,7 @@ from trackslip_bags.types import fields_by
 from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
-from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read
+from trackslip_common.message_reading import RecordClass, dtype_of, read, selectors_of
 
 _LAYOUTS = 64  # per topic; messages of further layouts are read one by one
 
@@ -118,7 +118,7 @@ class TopicTable:
         matching = layout.matches(self._buffer, starts)
         members, starts = left[matching], starts[matching]
         if members.size:
-            for name, (_, place) in places_of(kind).items():
+            for name, (_, place) in selectors_of(kind).items():
                 try:
                     rows[name][members] = layout.column(place, self._buffer, starts, self._topic.number_of)
                 except KeyError:
@@ -131,7 +131,7 @@ class TopicTable:
             values = read(kind, message)
         except (AttributeError, IndexError) as error:
             raise self._topic.lacks(str(error)) from error
-        for name, value in zip(places_of(kind), values, strict=True):
+        for name, value in zip(selectors_of(kind), values, strict=True):
             rows[name][k] = self._topic.number_of(value) if isinstance(value, str) else value
 
 

@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 from trackslip_bags.definitions import DEFAULT_DISTRO, msg_file, ros_distro
 from trackslip_bags.metadata import Schema
 from trackslip_common.errors import InputError
-from trackslip_common.layout import ANY, CDR_HEADER, CDR_SLACK, Field, FieldsOf
+from trackslip_common.layout import ANY_LENGTH, CDR_HEADER, CDR_SLACK, Field, FieldsOf
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
 _MOST_VALUES = 1_000_000  # limit of values of a message with empty lists
@@ -196,7 +196,7 @@ def fields_by(store: Typestore) -> FieldsOf:
             (kind, detail), count = field_parts(description), None
             if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
                 (inner, detail), size = detail
-                count = int(size) if kind == Nodetype.ARRAY else ANY
+                count = int(size) if kind == Nodetype.ARRAY else ANY_LENGTH
                 kind = inner
             yield Field(name, str(detail if kind == Nodetype.NAME else detail[0]), count)
 

@@ -66,13 +66,13 @@ class StampStatus(IntEnum):
     BACK = 3  # the clock has gone back: everything restarts
 
 
-_CARRIERS = 3  # consecutive measurements that advance the clock
-_EQUAL = 2  # ratio below which two steps count as equal
+_ADVANCING_COUNT = 3  # consecutive measurements that advance the clock
+_EQUAL_STEP_RATIO = 2  # ratio below which two steps count as equal
 _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 
 @compiled
-def _add(streak: StampStreak, stamp_ns: int, gap_ns: int, counts: bool) -> int:
+def _extend_streak(streak: StampStreak, stamp_ns: int, gap_ns: int, counts: bool) -> int:
     """Length of the streak with this stamp; a stamp that does not follow the last one restarts it."""
     if not 0 < stamp_ns - streak.last_ns <= gap_ns:
         streak.count, streak.first_ns = 0, stamp_ns
@@ -92,37 +92,40 @@ def check_sample(clock: Clock, limits: ClockLimits, stamp_ns: int, oldest_ns: in
         clock.pace_ns = 0
     gap_ns = max(limits.gap_ns, clock.pace_ns)
     if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - gap_ns)) or stamp_ns < oldest_ns:
-        _end_ahead(clock)
-        confirmed = _add(clock.behind, stamp_ns, gap_ns, True) >= limits.confirmations
+        _end_streak_ahead(clock)
+        confirmed = _extend_streak(clock.behind, stamp_ns, gap_ns, True) >= limits.confirmations
         return _BACK if confirmed else _BEHIND
     clock.behind.count = 0
     if not clock.running or stamp_ns > clock.head_ns:
         clock.late.count = 0
-    elif _add(clock.late, stamp_ns, gap_ns, contradicts) >= limits.confirmations:
+    elif _extend_streak(clock.late, stamp_ns, gap_ns, contradicts) >= limits.confirmations:
         return _BACK
     if clock.running and stamp_ns > clock.head_ns + gap_ns:
-        if _add_ahead(clock, stamp_ns, gap_ns) < limits.confirmations:
+        if _extend_streak_ahead(clock, stamp_ns, gap_ns) < limits.confirmations:
             return _AHEAD
-        clock.pace_ns = _EQUAL * clock.ahead_step_ns if clock.ahead_step_ns > limits.gap_ns else 0
+        clock.pace_ns = _EQUAL_STEP_RATIO * clock.ahead_step_ns if clock.ahead_step_ns > limits.gap_ns else 0
     elif 0 < stamp_ns - clock.head_ns <= limits.gap_ns:
         clock.pace_ns = 0
     clock.head_ns = max(clock.head_ns, stamp_ns) if clock.running else stamp_ns
     clock.running = True
-    _end_ahead(clock)
+    _end_streak_ahead(clock)
     return _IN_LINE
 
 
 @compiled
-def _add_ahead(clock: Clock, stamp_ns: int, gap_ns: int) -> int:
+def _extend_streak_ahead(clock: Clock, stamp_ns: int, gap_ns: int) -> int:
     """Length of the streak ahead: stamps no further apart than the gap, or at equal steps."""
     step_ns = stamp_ns - clock.ahead.last_ns
-    is_equal = step_ns < _EQUAL * clock.ahead_step_ns and clock.ahead_step_ns < _EQUAL * step_ns
+    is_equal = (
+        step_ns < _EQUAL_STEP_RATIO * clock.ahead_step_ns
+        and clock.ahead_step_ns < _EQUAL_STEP_RATIO * step_ns
+    )
     clock.ahead_step_ns = step_ns
-    return _add(clock.ahead, stamp_ns, max(gap_ns, step_ns) if is_equal else gap_ns, True)
+    return _extend_streak(clock.ahead, stamp_ns, max(gap_ns, step_ns) if is_equal else gap_ns, True)
 
 
 @compiled
-def _end_ahead(clock: Clock) -> None:
+def _end_streak_ahead(clock: Clock) -> None:
     """End the streak ahead: the next stamp ahead is its first, one step from the head."""
     clock.ahead.count, clock.ahead.last_ns, clock.ahead_step_ns = 0, clock.head_ns, 0
 
@@ -136,11 +139,11 @@ def check_other(clock: Clock, limits: ClockLimits, stamp_ns: int) -> int:
     if (
         not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0
     ):  # stamps of several sources may be out of order
-        _add(streak, stamp_ns, limits.gap_ns, True)
-    carries = streak.count >= _CARRIERS and stamp_ns - streak.first_ns >= limits.silence_ns
-    if carries:
+        _extend_streak(streak, stamp_ns, limits.gap_ns, True)
+    advances = streak.count >= _ADVANCING_COUNT and stamp_ns - streak.first_ns >= limits.silence_ns
+    if advances:
         clock.head_ns = stamp_ns
-    return _IN_LINE if carries or stamp_ns <= clock.head_ns + limits.gap_ns else _AHEAD
+    return _IN_LINE if advances or stamp_ns <= clock.head_ns + limits.gap_ns else _AHEAD
 
 
 @compiled
@@ -168,17 +171,17 @@ class ClockMonitor:
         """Newest stamp in line; None before the first sample."""
         return int(self._clock["head_ns"][0]) if self._clock["running"][0] else None
 
-    def sample(
+    def check_sample(
         self, stamp_ns: int, oldest_ns: int | None = None, *, contradicts: bool = False
     ) -> StampStatus:
         """Status of a sample of the source that is the clock; see ``check_sample``."""
         horizon_ns = NEVER_NS if oldest_ns is None else oldest_ns
         return StampStatus(_check_sample(self._clock, self._limits, stamp_ns, horizon_ns, contradicts))
 
-    def later_sample(self, stamp_ns: int) -> StampStatus:
+    def check_increasing_sample(self, stamp_ns: int) -> StampStatus:
         """The same for a source whose stamps increase strictly."""
-        return self.sample(stamp_ns, None if self.head_ns is None else self.head_ns + 1)
+        return self.check_sample(stamp_ns, None if self.head_ns is None else self.head_ns + 1)
 
-    def other(self, stamp_ns: int) -> StampStatus:
+    def check_other(self, stamp_ns: int) -> StampStatus:
         """Status of a measurement of another source; see ``check_other``."""
         return StampStatus(_check_other(self._clock, self._limits, stamp_ns))

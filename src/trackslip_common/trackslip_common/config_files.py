@@ -11,7 +11,7 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat
-from trackslip_common.yaml_text import LONGEST, parse_mapping
+from trackslip_common.yaml_text import MAX_CHARACTERS, parse_mapping
 
 P = TypeVar("P", bound=Parameters)
 
@@ -43,7 +43,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: no regular file; accepted: a YAML file")
     try:
         with path.open(encoding="utf-8") as file:
-            text = file.read(LONGEST + 1)
+            text = file.read(MAX_CHARACTERS + 1)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: no text in UTF-8; accepted: a YAML file in UTF-8") from error
     except OSError as error:
@@ -85,11 +85,11 @@ def load_parameters(cls: type[P], node: str, files: Sequence[str], *layers: Mapp
     """
     values: dict[str, Any] = {}
     for layer in (node_defaults(node, *files), *layers):
-        values = cls.overlaid(values, layer)
+        values = cls.overlay(values, layer)
     return from_flat(cls, values, node)
 
 
-def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+def unflatten(flat: Mapping[str, Any]) -> dict[str, Any]:
     """Dotted names as nested groups, in the form of a parameter file."""
     tree: dict[str, Any] = {}
     for name, value in flat.items():

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 R = TypeVar("R")
 
-_LARGEST = 2**28  # bytes of a file; ours have about a hundred per line
+_MAX_FILE_SIZE = 2**28  # bytes of a file; ours have about a hundred per line
 
 
 def read_lines(path: Path) -> list[str]:
@@ -21,7 +21,7 @@ def read_lines(path: Path) -> list[str]:
     """
     if not path.exists():
         return []
-    if path.is_fifo() or path.stat().st_size > _LARGEST:
+    if path.is_fifo() or path.stat().st_size > _MAX_FILE_SIZE:
         raise TypeError("no file of ours")
     text = path.read_text(encoding="utf-8", errors="replace")
     if text.strip() and not text.lstrip().startswith("{"):
@@ -38,7 +38,7 @@ def parse_line(line: str) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def record(kind: type[R], entry: Any) -> R:
+def make_record(kind: type[R], entry: Any) -> R:
     """A dataclass or NamedTuple from its fields by name.
 
     Raises:
@@ -47,23 +47,23 @@ def record(kind: type[R], entry: Any) -> R:
     hints = get_type_hints(kind)
     if not isinstance(entry, dict) or entry.keys() != hints.keys():
         raise TypeError(kind.__name__)
-    return kind(**{name: _typed(hints[name], value) for name, value in entry.items()})
+    return kind(**{name: _convert_value(hints[name], value) for name, value in entry.items()})
 
 
-def _typed(hint: Any, value: Any) -> Any:
+def _convert_value(hint: Any, value: Any) -> Any:
     """A number, text, bool, tuple of this length, or mapping by name, as hinted; int counts as float.
 
     None is accepted if the hint is a union with it.
     """
     if isinstance(hint, UnionType):
         kinds = [kind for kind in get_args(hint) if kind is not NoneType]
-        return None if value is None and len(kinds) < len(get_args(hint)) else _typed(kinds[0], value)
+        return None if value is None and len(kinds) < len(get_args(hint)) else _convert_value(kinds[0], value)
     if isinstance(hint, GenericAlias):
         origin, inner = get_origin(hint), get_args(hint)
         if origin is dict and isinstance(value, dict):
-            return {key: _typed(inner[1], of_key) for key, of_key in value.items()}
+            return {key: _convert_value(inner[1], of_key) for key, of_key in value.items()}
         if origin is tuple and isinstance(value, list) and len(value) == len(inner):
-            return tuple(_typed(kind, part) for kind, part in zip(inner, value, strict=True))
+            return tuple(_convert_value(kind, part) for kind, part in zip(inner, value, strict=True))
         raise TypeError(str(hint))
     if hint is float and type(value) is int:
         value = float(value) if abs(value) < 2**63 else None

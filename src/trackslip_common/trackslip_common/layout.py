@@ -19,18 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import BoolArray, IntArray
-from trackslip_common.message_reading import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
+from trackslip_common.message_reading import (
+    FieldPath,
+    HasItems,
+    JointItem,
+    RecordClass,
+    Selector,
+    Stamp,
+    Text,
+    selectors_of,
+)
 
 CDR_HEADER = 4  # bytes: 0, then 1 if little-endian, then two of options
 CDR_SLACK = 64  # bytes accepted after a message
-ANY = -1  # length of a sequence
+ANY_LENGTH = -1  # length of a sequence
 
 Bytes = NDArray[np.uint8]
 
 _NUMBERS = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"}
 _NUMBERS |= {f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)}
 _NUMBERS |= {f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)}
-_LONG = {"<i8": "q", "<u8": "Q"}  # numpy formats that have another letter in ``struct``
+_STRUCT_FORMATS = {"<i8": "q", "<u8": "Q"}  # numpy formats that have another letter in ``struct``
 _NS_PER_S = 1_000_000_000
 
 
@@ -39,7 +48,7 @@ class Field(NamedTuple):
 
     name: str
     type: str  # a number type, ``string``, or ``package/msg/Name``
-    length: int | None = None  # of an array; ``ANY`` of a sequence; None: one value
+    length: int | None = None  # of an array; ``ANY_LENGTH`` of a sequence; None: one value
 
 
 FieldsOf = Callable[[str], Iterable[Field]]
@@ -73,9 +82,9 @@ class Layout:
             raise IrregularError(f"{type_name} of another form")
         self._leaves: dict[str, _Leaf] = {}
         self._places = [np.arange(CDR_HEADER)]  # indices of strings and lengths
-        self._fields_of, self._raw, self._at, self._lists = fields_of, raw, 0, lists
-        self._message(type_name, "")
-        if not 0 <= len(raw) - CDR_HEADER - self._at <= CDR_SLACK:
+        self._fields_of, self._raw, self._offset, self._lists = fields_of, raw, 0, lists
+        self._parse_message(type_name, "")
+        if not 0 <= len(raw) - CDR_HEADER - self._offset <= CDR_SLACK:
             raise IrregularError(f"{type_name} of {len(raw)} bytes")
         self._frame = np.concatenate(self._places)
         self._frame_bytes = np.frombuffer(raw, np.uint8)[self._frame]
@@ -94,18 +103,18 @@ class Layout:
                     (leaf.kind, () if leaf.length is None else (leaf.length,)) for leaf in leaves.values()
                 ],
                 "offsets": [leaf.offset for leaf in leaves.values()],
-                "itemsize": CDR_HEADER + self._at,
+                "itemsize": CDR_HEADER + self._offset,
             }
         )
 
     def blank(self) -> bytearray:
         """The message with all numbers zero; strings and lengths are kept."""
-        found = bytearray(CDR_HEADER + self._at)
+        found = bytearray(CDR_HEADER + self._offset)
         for span, piece in self._pieces:
             found[span] = piece
         return found
 
-    def fits(self, raw: bytes) -> bool:
+    def is_layout_of(self, raw: bytes) -> bool:
         """Whether another message has this layout."""
         return len(raw) == len(self._raw) and all(raw[span] == piece for span, piece in self._pieces)
 
@@ -116,19 +125,21 @@ class Layout:
             KeyError: the type has no such field.
         """
         codes: dict[int, str] = {}  # by offset, formats of the numbers that are read
-        for leaf, at in (number for _, place in places_of(kind).values() for number in self._numbers(place)):
+        for leaf, at in (
+            number for _, selector in selectors_of(kind).values() for number in self._numbers(selector)
+        ):
             size = np.dtype(leaf.kind).itemsize
-            codes[leaf.offset + at * size] = _LONG.get(leaf.kind, np.dtype(leaf.kind).char)
+            codes[leaf.offset + at * size] = _STRUCT_FORMATS.get(leaf.kind, np.dtype(leaf.kind).char)
         order, end, form = sorted(codes), 0, "<"
         for offset in order:
             form += f"{offset - end}x{codes[offset]}"
             end = offset + Struct(f"<{codes[offset]}").size
         unpack = Struct(form).unpack_from
-        takes = [self._take(place, order.index) for _, place in places_of(kind).values()]
+        getters = [self._make_getter(selector, order.index) for _, selector in selectors_of(kind).values()]
 
         def read_one(raw: bytes) -> Any:
             numbers = unpack(raw)
-            return kind(*[take(numbers) for take in takes])
+            return kind(*[get(numbers) for get in getters])
 
         return read_one
 
@@ -138,26 +149,26 @@ class Layout:
         return found
 
     def column(
-        self, place: Place, buffer: Bytes, starts: IntArray, number_of: Callable[[str], int]
+        self, selector: Selector, buffer: Bytes, starts: IntArray, number_of: Callable[[str], int]
     ) -> NDArray[Any] | int | float | bool:
-        """(n, …) values at a place, or the one value of all; ``number_of`` maps texts to numbers.
+        """(n, …) selected values, or the one value of all; ``number_of`` maps texts to numbers.
 
         Raises:
             KeyError: the type has no such field.
         """
-        match place:
+        match selector:
             case Stamp(path):
                 seconds = self._values(self._leaves[f"{path}.sec"], buffer, starts).astype(np.int64)
                 nanoseconds = self._values(self._leaves[f"{path}.nanosec"], buffer, starts)
                 return np.asarray(seconds * _NS_PER_S + nanoseconds)
-            case Filled(path):
+            case HasItems(path):
                 return self._leaves[path].length != 0
             case Text(path):
                 return number_of(self._leaves[path].texts[0])
-            case Joint():
-                found = self._numbers(place)
+            case JointItem():
+                found = self._numbers(selector)
                 return self._values(found[0][0], buffer, starts, found[0][1]) if found else np.nan
-            case At(path, items, shape):
+            case FieldPath(path, items, shape):
                 leaf = self._leaves[path]
                 if not shape:
                     return self._values(leaf, buffer, starts, *items)
@@ -166,14 +177,14 @@ class Layout:
                 whole = self._values(leaf, buffer, starts, 0, leaf.length or 1)
                 return whole[:, items].reshape(len(starts), *shape)
 
-    def _numbers(self, place: Place) -> list[tuple["_Leaf", int]]:
-        """(leaf, index in the leaf) of each number in the value at a place."""
-        match place:
+    def _numbers(self, selector: Selector) -> list[tuple["_Leaf", int]]:
+        """(leaf, index in the leaf) of each number in the selected value."""
+        match selector:
             case Stamp(path):
                 found = [(self._leaves[f"{path}.sec"], 0), (self._leaves[f"{path}.nanosec"], 0)]
-            case At(path, items, _):
+            case FieldPath(path, items, _):
                 found = [(self._leaves[path], item) for item in items or (0,)]
-            case Joint(path, name):
+            case JointItem(path, name):
                 leaf, names = self._leaves[path], self._leaves["name"].texts
                 at = names.index(name) if name in names else leaf.length or 0
                 found = [(leaf, at)] if at < (leaf.length or 0) else []
@@ -181,24 +192,26 @@ class Layout:
                 found = []
         for leaf, at in found:
             if leaf.kind == "text" or at >= (1 if leaf.length is None else leaf.length):
-                raise KeyError(place.path)
+                raise KeyError(selector.path)
         return found
 
-    def _take(self, place: Place, number_at: Callable[[int], int]) -> Callable[[tuple[Any, ...]], Any]:
-        """(numbers that were read) → value at a place; ``number_at``: offset → index of the number."""
+    def _make_getter(
+        self, selector: Selector, number_at: Callable[[int], int]
+    ) -> Callable[[tuple[Any, ...]], Any]:
+        """(numbers that were read) → selected value; ``number_at``: offset → index of the number."""
         indices = [
-            number_at(leaf.offset + at * np.dtype(leaf.kind).itemsize) for leaf, at in self._numbers(place)
+            number_at(leaf.offset + at * np.dtype(leaf.kind).itemsize) for leaf, at in self._numbers(selector)
         ]
-        match place:
+        match selector:
             case Stamp():
                 sec, nanosec = indices
                 return lambda numbers: numbers[sec] * _NS_PER_S + numbers[nanosec]
-            case At(_, _, shape) if shape:
+            case FieldPath(_, _, shape) if shape:
                 chosen = itemgetter(*indices)
                 return lambda numbers: np.array(chosen(numbers), np.float64).reshape(shape)
-            case At() | Joint() if indices:
+            case FieldPath() | JointItem() if indices:
                 return itemgetter(indices[0])
-            case Filled(path):
+            case HasItems(path):
                 is_filled = self._leaves[path].length != 0
                 return lambda _: is_filled
             case Text(path):
@@ -218,45 +231,45 @@ class Layout:
         found = buffer[starts[:, np.newaxis] + np.arange(begin, begin + count * size)].view(leaf.kind)
         return np.asarray(found[:, 0] if count == 1 else found)
 
-    def _message(self, type_name: str, prefix: str) -> None:
+    def _parse_message(self, type_name: str, prefix: str) -> None:
         for name, kind, count in self._fields_of(type_name):
             if "/" not in kind:
-                self._field(prefix + name, kind, self._length() if count == ANY else count)
+                self._parse_field(prefix + name, kind, self._read_length() if count == ANY_LENGTH else count)
             elif count is None:
-                self._message(kind, f"{prefix}{name}.")
+                self._parse_message(kind, f"{prefix}{name}.")
             elif not self._lists:
                 raise IrregularError(f"{prefix}{name} holds messages")
             else:
-                for k in range(self._length() if count == ANY else count):
-                    self._message(kind, f"{prefix}{name}.{k}.")
+                for k in range(self._read_length() if count == ANY_LENGTH else count):
+                    self._parse_message(kind, f"{prefix}{name}.{k}.")
 
-    def _field(self, name: str, kind: str, count: int | None) -> None:
+    def _parse_field(self, name: str, kind: str, count: int | None) -> None:
         if kind == "string":
-            texts = tuple(self._text() for _ in range(1 if count is None else count))
+            texts = tuple(self._read_text() for _ in range(1 if count is None else count))
             self._leaves[name] = _Leaf("text", 0, count, texts)
             return
         if kind not in _NUMBERS:
             raise IrregularError(f"{name} is a {kind}")
         size = np.dtype(_NUMBERS[kind]).itemsize
         if count != 0:
-            self._at += -self._at % size
-        self._leaves[name] = _Leaf(_NUMBERS[kind], CDR_HEADER + self._at, count)
-        self._at += size * (1 if count is None else count)
+            self._offset += -self._offset % size
+        self._leaves[name] = _Leaf(_NUMBERS[kind], CDR_HEADER + self._offset, count)
+        self._offset += size * (1 if count is None else count)
 
-    def _length(self) -> int:
-        self._at += -self._at % 4
-        begin = CDR_HEADER + self._at
+    def _read_length(self) -> int:
+        self._offset += -self._offset % 4
+        begin = CDR_HEADER + self._offset
         if begin + 4 > len(self._raw):
             raise IrregularError("a length beyond its message")
         self._places.append(np.arange(begin, begin + 4))
-        self._at += 4
+        self._offset += 4
         return int.from_bytes(self._raw[begin : begin + 4], "little")
 
-    def _text(self) -> str:
-        length = self._length()
-        begin = CDR_HEADER + self._at
+    def _read_text(self) -> str:
+        length = self._read_length()
+        begin = CDR_HEADER + self._offset
         if begin + length > len(self._raw):
             raise IrregularError("a text goes on beyond its message")
         self._places.append(np.arange(begin, begin + length))
-        self._at += length
+        self._offset += length
         return bytes(self._raw[begin : begin + max(length - 1, 0)]).decode(errors="replace")

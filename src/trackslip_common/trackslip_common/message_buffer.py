@@ -41,16 +41,16 @@ class MessageBuffer:
             part = fields
             for one in inside:
                 part = part.setdefault(one, {})
-            part[name] = _Numbers(record[path])
+            part[name] = _NumberField(record[path])
             record[path] = given[path]
-        self.message = _part(fields)
+        self.message = _make_part(fields)
 
     def __bytes__(self) -> bytes:
         """The present bytes."""
         return bytes(self._raw)
 
 
-class _Numbers:
+class _NumberField:
     """Descriptor of a field in the bytes: a number, or an array of numbers."""
 
     __slots__ = ("_view",)
@@ -65,7 +65,7 @@ class _Numbers:
         self._view[...] = value
 
 
-def _part(fields: dict[str, Any]) -> Any:
+def _make_part(fields: dict[str, Any]) -> Any:
     """An object with these fields; for a list of messages, a list."""
-    inner = {name: _part(field) if isinstance(field, dict) else field for name, field in fields.items()}
+    inner = {name: _make_part(field) if isinstance(field, dict) else field for name, field in fields.items()}
     return list(inner.values()) if "0" in inner else type("Part", (), {"__slots__": (), **inner})()

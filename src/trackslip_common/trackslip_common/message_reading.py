@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads fields of a message: from an object (rclpy's or a bag's), and as a column of a numpy record.
 
-    At      a field by its dotted path; with ``items``, an array of these items of it, in this order
-    Joint   item of an array that belongs to a joint, by the message's names; nan if it is missing
-    Filled  whether an array has any items
-    Text    a string; in tables, its number among the texts of the topic
-    Stamp   time of the header
+    FieldPath  a field by its dotted path; with ``items``, an array of these items of it, in this order
+    JointItem  item of an array that belongs to a joint, by the message's names; nan if it is missing
+    HasItems   whether an array has any items
+    Text       a string; in tables, its number among the texts of the topic
+    Stamp      time of the header
 
 The record classes of ``message_fields`` annotate their fields with these.
 """
@@ -25,10 +25,10 @@ R = TypeVar("R")
 RecordClass = Any  # a NamedTuple class of ``message_fields``; mypy takes no type[Any] as a key of a cache
 
 _NS_PER_S = 1_000_000_000
-_NAMES = "name"  # of joints
+_JOINT_NAMES = "name"  # of joints
 
 
-class At(NamedTuple):
+class FieldPath(NamedTuple):
     """See the top of the module."""
 
     path: str
@@ -36,14 +36,14 @@ class At(NamedTuple):
     shape: tuple[int, ...] = ()  # of the items
 
 
-class Joint(NamedTuple):
+class JointItem(NamedTuple):
     """See the top of the module."""
 
     path: str
     name: str
 
 
-class Filled(NamedTuple):
+class HasItems(NamedTuple):
     """See the top of the module."""
 
     path: str
@@ -61,12 +61,12 @@ class Stamp(NamedTuple):
     path: str = "header.stamp"
 
 
-Place = At | Joint | Filled | Text | Stamp
+Selector = FieldPath | JointItem | HasItems | Text | Stamp
 
 
 @cache
-def places_of(kind: RecordClass) -> dict[str, tuple[type, Place]]:
-    """Name → Python type and place of each field of a record class."""
+def selectors_of(kind: RecordClass) -> dict[str, tuple[type, Selector]]:
+    """Name → Python type and selector of each field of a record class."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: (get_args(hint)[0], hint.__metadata__[0]) for name, hint in hints.items()}
 
@@ -75,18 +75,18 @@ def places_of(kind: RecordClass) -> dict[str, tuple[type, Place]]:
 def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
     """The numpy record of a record class: float64, int64, bool; the number of a text is int64."""
     fields = []
-    for name, (python, place) in places_of(kind).items():
+    for name, (python, selector) in selectors_of(kind).items():
         of = {int: np.int64, bool: np.bool_, str: np.int64}.get(python, np.float64)
-        fields.append((name, of, place.shape if isinstance(place, At) else ()))
+        fields.append((name, of, selector.shape if isinstance(selector, FieldPath) else ()))
     return np.dtype(fields, align=True)
 
 
 @cache
 def _reader(kind: RecordClass) -> Callable[[Any], Any]:
     """The function that ``read`` uses for a record class."""
-    places = places_of(kind)
-    getters = {name: attrgetter(place.path) for name, (_, place) in places.items()}
-    steps = [(getters[name], _converter(python, place)) for name, (python, place) in places.items()]
+    selectors = selectors_of(kind)
+    getters = {name: attrgetter(selector.path) for name, (_, selector) in selectors.items()}
+    steps = [(getters[name], _converter(python, selector)) for name, (python, selector) in selectors.items()]
 
     def read_one(message: Any) -> Any:
         return kind(*[convert(get(message), message) for get, convert in steps])
@@ -94,30 +94,30 @@ def _reader(kind: RecordClass) -> Callable[[Any], Any]:
     return read_one
 
 
-def _converter(python: type, place: Place) -> Callable[[Any, Any], Any]:
+def _converter(python: type, selector: Selector) -> Callable[[Any, Any], Any]:
     """(value at the path, message) → value of the field."""
-    match place:
+    match selector:
         case Stamp():
             return lambda stamp, _: int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
-        case Filled():
+        case HasItems():
             return lambda values, _: len(values) > 0
-        case Joint(_, name):
-            return lambda values, message: _of_joint(values, list(getattr(message, _NAMES)), name)
-        case At(_, items, shape) if shape:
+        case JointItem(_, name):
+            return lambda values, message: _joint_value(values, list(getattr(message, _JOINT_NAMES)), name)
+        case FieldPath(_, items, shape) if shape:
             chosen = np.array(items)
             return lambda values, _: np.asarray(values, dtype=np.float64)[chosen].reshape(shape)
-        case At(_, items, _) if items:
+        case FieldPath(_, items, _) if items:
             return lambda values, _: python(values[items[0]])
         case _:
             return lambda value, _: python(value)
 
 
-def _of_joint(values: Any, names: list[str], joint: str) -> float:
+def _joint_value(values: Any, names: list[str], joint: str) -> float:
     at = names.index(joint) if joint in names else len(values)
     return float(values[at]) if at < len(values) else math.nan
 
 
-class Packed(ABC):
+class SerializedMessage(ABC):
     """A message that has not been deserialized."""
 
     __slots__ = ()
@@ -133,7 +133,7 @@ def read(kind: Callable[..., R], message: Any) -> R:
     Raises:
         AttributeError: the message is of another type.
     """
-    found: R = message.record(kind) if isinstance(message, Packed) else _reader(kind)(message)
+    found: R = message.record(kind) if isinstance(message, SerializedMessage) else _reader(kind)(message)
     return found
 
 

@@ -46,7 +46,7 @@ def tilts_of(rows: NDArray[np.void]) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore"):  # as with Python's floats
         pairs = (2.0 * (w * x + y * z)).tolist(), (1.0 - 2.0 * (x * x + y * y)).tolist()
         sines = np.clip(2.0 * (w * y - z * x), -1.0, 1.0).tolist()
-    return np.column_stack((_each(math.atan2, *pairs), _each(math.asin, sines)))
+    return np.column_stack((_elementwise(math.atan2, *pairs), _elementwise(math.asin, sines)))
 
 
 def headings_of(rows: NDArray[np.void]) -> FloatArray:
@@ -54,7 +54,7 @@ def headings_of(rows: NDArray[np.void]) -> FloatArray:
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
     with np.errstate(over="ignore", invalid="ignore"):  # as with Python's floats
         sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
-    return _each(math.atan2, sines.tolist(), cosines.tolist())
+    return _elementwise(math.atan2, sines.tolist(), cosines.tolist())
 
 
 def poses_of(rows: NDArray[np.void]) -> FloatArray:
@@ -62,11 +62,11 @@ def poses_of(rows: NDArray[np.void]) -> FloatArray:
     return np.column_stack((rows["x"], rows["y"], headings_of(rows)))
 
 
-def wrapped(angles: FloatArray) -> FloatArray:
+def wrap_angles(angles: FloatArray) -> FloatArray:
     """(n,) angles wrapped to (−π, π]."""
     return np.asarray(np.angle(np.exp(1j * angles)))
 
 
-def _each(function: Callable[..., float], *arguments: list[float]) -> FloatArray:
+def _elementwise(function: Callable[..., float], *arguments: list[float]) -> FloatArray:
     """(n,) values of a function of ``math``, as numpy's own differ in the last bit."""
     return np.fromiter(map(function, *arguments), np.float64, len(arguments[0]))

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from typing import Any
 
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
-from trackslip_common.message_reading import Packed, RecordClass, read
+from trackslip_common.message_reading import RecordClass, SerializedMessage, read
 
-_LAYOUTS = 16  # of one topic, most recent first; usually one, unless frame_id keeps changing
+_MAX_LAYOUTS = 16  # of one topic, most recent first; usually one, unless frame_id keeps changing
 
 
-class PackedMessage(Packed):
+class PackedMessage(SerializedMessage):
     """One serialized message, with the layouts of its topic."""
 
     __slots__ = ("_raw", "_topic")
@@ -39,7 +39,7 @@ class PackedTopic:
 
     def __init__(self, type_name: str, fields_of: FieldsOf, unpack: Callable[[bytes], Any]) -> None:
         self._type_name, self._fields_of, self._unpack = type_name, fields_of, unpack
-        self._known: list[tuple[Layout, dict[RecordClass, Callable[[bytes], Any]]]] = []
+        self._layouts: list[tuple[Layout, dict[RecordClass, Callable[[bytes], Any]]]] = []
 
     def record(self, raw: bytes, kind: RecordClass) -> Any:
         """The record of a message.
@@ -47,13 +47,16 @@ class PackedTopic:
         Raises:
             AttributeError, IndexError: the message has no such field.
         """
-        for layout, readers in self._known:
-            if layout.fits(raw):
+        for layout, readers in self._layouts:
+            if layout.is_layout_of(raw):
                 if kind not in readers:
                     readers[kind] = self._reader(layout, kind)
                 return readers[kind](raw)
         try:
-            self._known = [(Layout(self._fields_of, self._type_name, raw), {}), *self._known[: _LAYOUTS - 1]]
+            self._layouts = [
+                (Layout(self._fields_of, self._type_name, raw), {}),
+                *self._layouts[: _MAX_LAYOUTS - 1],
+            ]
         except IrregularError:
             return read(kind, self._unpack(raw))
         return self.record(raw, kind)

@@ -14,7 +14,7 @@ from typing import Any
 from trackslip_common.errors import InputError
 
 # In any unit; its inverse is the least value of what must be above 0, so squares and inverses stay finite.
-_LARGEST = 1e30
+_MAX_MAGNITUDE = 1e30
 _SCALARS: Mapping[type, str] = MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 )
@@ -52,7 +52,7 @@ class Spec:
             and (self.le is None or value <= self.le)
         )
 
-    def accepted(self) -> str:
+    def accepted_range(self) -> str:
         """The range as text, for messages."""
         if self.choices:
             return "one of " + ", ".join(map(str, self.choices))
@@ -65,38 +65,40 @@ class Spec:
         return f"{text} {self.unit}".rstrip()
 
 
-def coerced(name: str, value: Any, kind: Any, spec: Spec) -> Any:
+def convert_value(name: str, value: Any, kind: Any, spec: Spec) -> Any:
     """A value from YAML, ROS or a command line, converted to its declared type and checked."""
     if typing.get_origin(kind) is tuple and isinstance(value, (list, tuple, array)):  # ROS: array
         item_kind = typing.get_args(kind)[0]
-        value = tuple(_floated(item) if item_kind is float else item for item in value)
+        value = tuple(_to_float(item) if item_kind is float else item for item in value)
     elif kind is float:
-        value = _floated(value)
+        value = _to_float(value)
     elif kind is str and type(value) is bool:
         value = next((c for c in spec.choices if str(c).lower() in _YAML_WORDS[value]), value)
-    check(name, value, kind, spec)
+    check_value(name, value, kind, spec)
     return value
 
 
-def _floated(value: Any) -> Any:
+def _to_float(value: Any) -> Any:
     """An integer as a float, unless it exceeds all floats; any other value unchanged."""
     return float(value) if type(value) is int and abs(value) <= sys.float_info.max else value
 
 
-def check(name: str, value: Any, kind: Any, spec: Spec) -> None:
+def check_value(name: str, value: Any, kind: Any, spec: Spec) -> None:
     """Raise ``InputError`` unless ``value`` is of ``kind`` and in range."""
     if typing.get_origin(kind) is tuple:
         item_kind = typing.get_args(kind)[0]
         if not isinstance(value, tuple):
             raise InputError(f"{name}: {value!r} is not a list of {_SCALARS[item_kind]}")
         for index, item in enumerate(value):
-            check(f"{name}[{index}]", item, item_kind, spec)
+            check_value(f"{name}[{index}]", item, item_kind, spec)
         return
     if type(value) is not kind:
-        accepted = f"; accepted: {spec.accepted()}" if kind in (int, float) or spec.choices else ""
+        accepted = f"; accepted: {spec.accepted_range()}" if kind in (int, float) or spec.choices else ""
         raise InputError(f"{name}: {value!r} is not {_SCALARS[kind]}{accepted}")
     if kind is not bool and not spec.accepts(value):
-        raise InputError(f"{name}: {value!r} is out of range; accepted: {spec.accepted()}")
-    least = 1.0 / _LARGEST if spec.gt == 0.0 else -_LARGEST
-    if kind is float and not least <= value <= _LARGEST:
-        raise InputError(f"{name}: {value!r} is no size of anything; accepted: {least:g} to {_LARGEST:g}")
+        raise InputError(f"{name}: {value!r} is out of range; accepted: {spec.accepted_range()}")
+    least = 1.0 / _MAX_MAGNITUDE if spec.gt == 0.0 else -_MAX_MAGNITUDE
+    if kind is float and not least <= value <= _MAX_MAGNITUDE:
+        raise InputError(
+            f"{name}: {value!r} is no size of anything; accepted: {least:g} to {_MAX_MAGNITUDE:g}"
+        )

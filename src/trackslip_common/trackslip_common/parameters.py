@@ -21,7 +21,7 @@ from difflib import get_close_matches
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from trackslip_common.errors import InputError, listed
-from trackslip_common.parameter_spec import Spec, check, coerced
+from trackslip_common.parameter_spec import Spec, check_value, convert_value
 
 T = TypeVar("T", bound="Parameters")
 
@@ -55,7 +55,7 @@ class Group(NamedTuple):
 class Parameters:
     """Base of the frozen parameter dataclasses; rejects bad values at construction."""
 
-    NAMED: ClassVar[frozenset[str]] = frozenset()  # names that ``overlaid`` accepts beside the fields
+    EXTRA_NAMES: ClassVar[frozenset[str]] = frozenset()  # names that ``overlay`` accepts beside the fields
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
@@ -67,7 +67,7 @@ class Parameters:
         return {}
 
     @classmethod
-    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    def overlay(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
         """Values by dotted name: ``below``, overridden by ``above``."""
         return {**below, **above}
 
@@ -79,7 +79,7 @@ class Parameters:
         """
         for name, kind, spec in own_fields(type(self)):
             if spec is not None:
-                check(f"{type(self).__name__}.{name}", getattr(self, name), kind, spec)
+                check_value(f"{type(self).__name__}.{name}", getattr(self, name), kind, spec)
 
 
 def own_fields(cls: type) -> tuple[tuple[str, Any, Spec | None], ...]:
@@ -104,7 +104,7 @@ def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator
         value = getattr(record, name, None)
         if spec is not None:
             yield prefix + name, kind, spec
-        elif not _is_several(kind):
+        elif not _has_groups(kind):
             group = value if record is not None else _group_class(kind)
             yield from flat_fields(group, f"{prefix}{name}.") if group is not None else ()
         else:
@@ -119,7 +119,7 @@ def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
         value = getattr(record, name)
         if spec is not None:
             flat[prefix + name] = list(value) if isinstance(value, tuple) else value
-        elif not _is_several(kind):
+        elif not _has_groups(kind):
             flat |= to_flat(value, f"{prefix}{name}.") if value is not None else {}
         else:
             for key, group in value.items():
@@ -127,7 +127,7 @@ def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def reloadable(of: type[Parameters] | Parameters) -> frozenset[str]:
+def reloadable_names(of: type[Parameters] | Parameters) -> frozenset[str]:
     """Dotted names of the parameters that may change at run time."""
     return frozenset(name for name, _, spec in flat_fields(of) if not spec.read_only)
 
@@ -162,39 +162,40 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
         if spec is not None:
             if full not in values:
                 raise InputError(f"{where}: parameter '{full}' is missing ({spec.description})")
-            arguments[name] = coerced(f"{where}: {full}", values[full], kind, spec)
-        elif not _is_several(kind):
-            inside, group = _inside(values, f"{full}."), _group_class(kind)
+            arguments[name] = convert_value(f"{where}: {full}", values[full], kind, spec)
+        elif not _has_groups(kind):
+            inside, group = _values_in_group(values, f"{full}."), _group_class(kind)
             left_out = not inside and group is not kind
             arguments[name] = None if left_out else from_flat(group, inside, where, f"{full}.")
         else:
             arguments[name] = {
-                key: _group(group, values, where, f"{full}.{key}.") for key, group in groups[name].items()
+                key: _make_group(group, values, where, f"{full}.{key}.")
+                for key, group in groups[name].items()
             }
     return cls(**arguments)
 
 
-def checked(cls: type[Parameters], name: str, value: Any, where: str) -> Any:
+def checked_value(cls: type[Parameters], name: str, value: Any, where: str) -> Any:
     """The value of one field of ``cls``, converted and checked.
 
     Raises:
         InputError: the value is rejected.
     """
     kind, spec = next((kind, spec) for field, kind, spec in own_fields(cls) if field == name)
-    return coerced(f"{where}: {name}", value, kind, spec or Spec(""))
+    return convert_value(f"{where}: {name}", value, kind, spec or Spec(""))
 
 
-def _group(group: Group, values: Mapping[str, Any], where: str, prefix: str) -> Parameters:
+def _make_group(group: Group, values: Mapping[str, Any], where: str, prefix: str) -> Parameters:
     """One of several groups: its defaults, overridden by the given values."""
     defaults = {prefix + name: value for name, value in group.defaults.items()}
-    return from_flat(group.kind, defaults | _inside(values, prefix), where, prefix)
+    return from_flat(group.kind, defaults | _values_in_group(values, prefix), where, prefix)
 
 
-def _inside(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+def _values_in_group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name.startswith(prefix)}
 
 
-def _is_several(kind: Any) -> bool:
+def _has_groups(kind: Any) -> bool:
     """Whether a field has groups by name, not one group."""
     return typing.get_origin(kind) is Mapping
 

@@ -80,7 +80,7 @@ class Soil:
                 continue
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not spec.accepts(value):
                 raise InputError(
-                    f"soil '{self.name}': {field} = {value!r} is refused; accepted: {spec.accepted()}"
+                    f"soil '{self.name}': {field} = {value!r} is refused; accepted: {spec.accepted_range()}"
                 )
         if self.cohesion == 0.0 and self.friction_angle == 0.0:
             raise InputError(
@@ -99,7 +99,7 @@ class Soil:
         if value is None:
             raise InputError(
                 f"soil '{self.name}': {field} = None, but it is needed here; accepted: "
-                f"{RANGES[field].accepted()} (give it in soils.yaml, or take a soil that has it)"
+                f"{RANGES[field].accepted_range()} (give it in soils.yaml, or take a soil that has it)"
             )
         return float(value)
 
@@ -111,7 +111,7 @@ def load_soils(file: str = "soils.yaml") -> dict[str, Soil]:
         InputError: the file or one of its values cannot be used.
     """
     path = config_file(file)
-    soils = {name: _soil(path, str(name), entry) for name, entry in read_yaml(path).items()}
+    soils = {name: _parse_soil(path, str(name), entry) for name, entry in read_yaml(path).items()}
     if not soils:
         raise InputError(f"{path}: no soils in it; accepted: at least one name with its values")
     return soils
@@ -134,7 +134,7 @@ def _default_soils() -> Mapping[str, Soil]:
     return MappingProxyType(load_soils())
 
 
-def _soil(path: Path, name: str, entry: Any) -> Soil:
+def _parse_soil(path: Path, name: str, entry: Any) -> Soil:
     """Build one record from its YAML mapping, whose names carry units."""
     if not isinstance(entry, Mapping):
         raise InputError(f"{path}: soil '{name}': {entry!r} is not a mapping of properties to values")
@@ -148,13 +148,13 @@ def _soil(path: Path, name: str, entry: Any) -> Soil:
         if type(raw) not in (int, float) or not RANGES[field].accepts(raw * factor):
             raise InputError(
                 f"{path}: soil '{name}': {key} = {raw!r} is refused; "
-                f"accepted: {field} {RANGES[field].accepted()}"
+                f"accepted: {field} {RANGES[field].accepted_range()}"
             )
         values[field] = raw * factor
     for field in ("cohesion", "friction_angle"):
         if field not in values:
             raise InputError(
-                f"{path}: soil '{name}': {field} is missing; accepted: {RANGES[field].accepted()}"
+                f"{path}: soil '{name}': {field} is missing; accepted: {RANGES[field].accepted_range()}"
             )
     return Soil(name=name, **values)
 

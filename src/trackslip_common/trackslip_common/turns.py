@@ -14,9 +14,9 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-_SLACK = 0.002  # of a turn, tolerance of the range for rounding
-_NEARLY = 0.75  # of a turn: least wrap of an angle that has not wrapped before
-_HALF = 0.5  # of a turn: least wrap of an angle that has
+_RANGE_TOLERANCE = 0.002  # of a turn, tolerance of the range for rounding
+_FIRST_WRAP = 0.75  # of a turn: least wrap of an angle that has not wrapped before
+_LATER_WRAP = 0.5  # of a turn: least wrap of an angle that has
 _GAP_S = 1.0  # s after which the first jump of an angle may be any motion
 
 
@@ -35,7 +35,7 @@ class TurnCounter:
         self._has_wrapped = False
         self._last: _Reading | None = None
 
-    def continuous(self, stamp_ns: int, angle: float, speed: float = math.nan) -> float:
+    def unwrap_angles(self, stamp_ns: int, angle: float, speed: float = math.nan) -> float:
         """The angle without its wraps; a value that is not finite is returned as it is, and ignored.
 
         ``speed``: in units of the angle per second; nan: unknown.
@@ -44,7 +44,7 @@ class TurnCounter:
             return angle
         last, self._last = self._last, _Reading(stamp_ns, angle)
         self._low, self._high = min(self._low, angle), max(self._high, angle)
-        if last is not None and within_a_turn(self._low, self._high, self._turn):
+        if last is not None and is_within_turn(self._low, self._high, self._turn):
             seconds = max(0, stamp_ns - last.stamp_ns) * 1e-9
             if self._is_wrap(angle - last.angle, seconds, speed):
                 self._has_wrapped = True
@@ -53,7 +53,7 @@ class TurnCounter:
 
     def _is_wrap(self, step: float, seconds: float, speed: float) -> bool:
         """Whether a step of the angle is a wrap after a whole turn."""
-        if abs(step) < self._turn * (_HALF if self._has_wrapped else _NEARLY):
+        if abs(step) < self._turn * (_LATER_WRAP if self._has_wrapped else _FIRST_WRAP):
             return False
         if seconds > _GAP_S and not self._has_wrapped:
             return False
@@ -62,24 +62,24 @@ class TurnCounter:
         return not abs(step - moved) <= abs(rest - moved)  # a wrap if the speed is nan
 
 
-def within_a_turn(low: float, high: float, turn: float) -> bool:
+def is_within_turn(low: float, high: float, turn: float) -> bool:
     """Whether a range of angles lies within one turn, as for an angle that wraps."""
-    slack = _SLACK * turn
+    slack = _RANGE_TOLERANCE * turn
     return (low >= -slack and high <= turn + slack) or (
         low >= -turn / 2.0 - slack and high <= turn / 2.0 + slack
     )
 
 
-def continuous(
+def unwrap_angles(
     stamps_ns: IntArray, angles: FloatArray, speeds: FloatArray | None = None, turn: float = math.tau
 ) -> FloatArray:
     """(n,) angles of one joint without wraps; a continuous angle is returned as it is."""
     known = angles[np.isfinite(angles)]
-    if not known.size or not within_a_turn(float(known.min()), float(known.max()), turn):
+    if not known.size or not is_within_turn(float(known.min()), float(known.max()), turn):
         return angles
-    if not (np.abs(np.diff(known)) >= _NEARLY * turn).any():
+    if not (np.abs(np.diff(known)) >= _FIRST_WRAP * turn).any():
         return angles
     counter = TurnCounter(turn)
     given = np.full(len(angles), np.nan) if speeds is None else speeds
     rows = zip(stamps_ns.tolist(), angles.tolist(), given.tolist(), strict=True)
-    return np.array([counter.continuous(*row) for row in rows])
+    return np.array([counter.unwrap(*row) for row in rows])

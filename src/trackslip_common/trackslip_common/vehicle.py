@@ -209,7 +209,7 @@ class VehicleParameters(Parameters):
         return 0.0 if upper is None or mass is None else upper.mass * upper.centre_x / mass.mass
 
     @property
-    def lacks(self) -> str:
+    def missing_groups_message(self) -> str:
         """Message about the groups that a complete machine needs but this vehicle lacks; empty if none."""
         missing = [name for name in ("mass", "hydraulics") if getattr(self, name) is None]
         return f"vehicle '{self.name}' has no {' and no '.join(missing)}" if missing else ""
@@ -221,6 +221,6 @@ class VehicleParameters(Parameters):
             InputError: mass or hydraulics are missing.
         """
         if self.mass is None or self.hydraulics is None:
-            raise InputError(f"{self.lacks}; accepted: one whose file has them")
+            raise InputError(f"{self.missing_groups_message}; accepted: one whose file has them")
         groups = (self.kinematics, self.mass, self.hydraulics)
         return Vehicle(**{f.name: getattr(group, f.name) for group in groups for f in fields(group)})

@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 
 import yaml
 
-from trackslip_common.config_files import config_directory, nested, read_yaml
+from trackslip_common.config_files import config_directory, read_yaml, unflatten
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
 from trackslip_common.vehicle import VehicleParameters
-from trackslip_common.vehicle_checks import check_together
+from trackslip_common.vehicle_checks import check_consistency
 from trackslip_common.yaml_text import parse_mapping
 
-ASSUMED = "pc05"  # if no vehicle is named
-IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # note in that case
+DEFAULT_VEHICLE = "pc05"  # if no vehicle is named
+DEFAULT_VEHICLE_NOTE = f"vehicle: {DEFAULT_VEHICLE} is assumed: the bag names none (--vehicle does)"
 TOPIC = "vehicle"  # latched topic with the text of a vehicle; also the parameter that names one
 _GROUP = f"{TOPIC}."
 _NAME = "name"  # in a vehicle file: name of the machine; by default that of the file
@@ -26,29 +26,29 @@ _BASE = "base"  # in a vehicle file: another vehicle, whose numbers are the defa
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithVehicle(Parameters):
+class ParametersWithVehicle(Parameters):
     """Base of parameters with a vehicle: ``vehicle`` names its file, ``vehicle.<group>`` are its numbers."""
 
-    NAMED: ClassVar[frozenset[str]] = frozenset({TOPIC})
+    EXTRA_NAMES: ClassVar[frozenset[str]] = frozenset({TOPIC})
 
     vehicle: VehicleParameters
 
     @classmethod
-    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    def overlay(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
         """Values with others over them; a named vehicle replaces another one completely.
 
         Raises:
             InputError: there is no such vehicle.
         """
-        above = _with_numbers(above)
+        above = _resolve_vehicle(above)
         if f"{_GROUP}name" in above:
             below = {name: value for name, value in below.items() if not name.startswith(_GROUP)}
         elif f"{_GROUP}name" not in below:
-            below = {**below, **_with_numbers({TOPIC: ASSUMED})}
-        return super().overlaid(below, above)
+            below = {**below, **_resolve_vehicle({TOPIC: DEFAULT_VEHICLE})}
+        return super().overlay(below, above)
 
 
-def names_vehicle(values: Mapping[str, Any]) -> bool:
+def has_vehicle_name(values: Mapping[str, Any]) -> bool:
     """Whether these parameters name a vehicle."""
     return TOPIC in values or f"{_GROUP}name" in values
 
@@ -58,39 +58,39 @@ def vehicle_names() -> list[str]:
     return sorted(path.stem for path in (config_directory() / "vehicles").glob("*.yaml"))
 
 
-def load_vehicle(name: str = ASSUMED) -> VehicleParameters:
+def load_vehicle(name: str = DEFAULT_VEHICLE) -> VehicleParameters:
     """A vehicle by its name in ``config/vehicles/``, or from a file.
 
     Raises:
         InputError: there is no such vehicle, or a value in its file is rejected.
     """
-    path = _file(name)
-    return vehicle_of(path.stem, _numbers_of(path), str(path))
+    path = _find_file(name)
+    return make_vehicle(path.stem, _read_numbers(path), str(path))
 
 
-def vehicle_of_text(text: str, where: str) -> VehicleParameters:
+def parse_vehicle(text: str, where: str) -> VehicleParameters:
     """A vehicle from the text of the topic ``vehicle``.
 
     Raises:
         InputError: the text is no vehicle.
     """
-    return vehicle_of("unnamed", flatten(parse_mapping(text, where)), where)
+    return make_vehicle("unnamed", flatten(parse_mapping(text, where)), where)
 
 
-def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehicleParameters:
+def make_vehicle(name: str, numbers: Mapping[str, Any], where: str) -> VehicleParameters:
     """A vehicle from dotted names; ``name`` is used if they contain no name.
 
     Raises:
         InputError: a name or a value is rejected, or values are inconsistent.
     """
     vehicle = from_flat(VehicleParameters, {_NAME: name, **numbers}, where)
-    check_together(vehicle, where)
+    check_consistency(vehicle, where)
     return vehicle
 
 
 def vehicle_text(vehicle: VehicleParameters) -> str:
     """Text of a file for the vehicle, without comments."""
-    text: str = yaml.safe_dump(nested(to_flat(vehicle)), sort_keys=False)
+    text: str = yaml.safe_dump(unflatten(to_flat(vehicle)), sort_keys=False)
     return text
 
 
@@ -99,20 +99,20 @@ def vehicle_layer(vehicle: VehicleParameters) -> dict[str, Any]:
     return to_flat(vehicle, _GROUP)
 
 
-def _numbers_of(path: Path) -> dict[str, Any]:
+def _read_numbers(path: Path) -> dict[str, Any]:
     """Values of a vehicle file by dotted name, over those of its base if it names one."""
     values = flatten(read_yaml(path))
     base = values.pop(_BASE, None)
     if base is None:
         return values
-    below = flatten(read_yaml(_file(str(base))))
+    below = flatten(read_yaml(_find_file(str(base))))
     if _BASE in below:
         raise InputError(f"{path}: {_BASE}: '{base}' has one too; accepted: a vehicle without")
     below.pop(_NAME, None)  # a variant has its own name, or that of its file
     return {**below, **values}
 
 
-def _with_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+def _resolve_vehicle(values: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters with the numbers of the vehicle that they name, overridden by those given directly."""
     if TOPIC not in values:
         return dict(values)
@@ -123,7 +123,7 @@ def _with_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
     return {**vehicle_layer(load_vehicle(name)), **rest}
 
 
-def _file(name: str) -> Path:
+def _find_file(name: str) -> Path:
     for candidate in (config_directory() / "vehicles" / f"{name}.yaml", Path(name)):
         if candidate.is_file():
             return candidate

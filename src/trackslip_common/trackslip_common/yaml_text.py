@@ -13,13 +13,13 @@ from yaml.composer import Composer
 
 from trackslip_common.errors import InputError
 
-LONGEST = 1_000_000  # characters
-_DEEPEST = 40  # levels of mappings and lists
-_MOST = 100_000  # values
+MAX_CHARACTERS = 1_000_000  # characters
+_MAX_DEPTH = 40  # levels of mappings and lists
+_MAX_VALUES = 100_000  # values
 _LONGEST_NUMBER = 100  # characters of a whole number
-_LARGEST = 2**63  # of a whole number, as in a ROS parameter
+_INTEGER_LIMIT = 2**63  # of a whole number, as in a ROS parameter
 # Exceptions of PyYAML's constructors for wrong tags and values, beside its own errors.
-_WRONG = (yaml.YAMLError, ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
+_PARSER_ERRORS = (yaml.YAMLError, ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
 
 
 class _Loader(Composer, yaml.CSafeLoader):
@@ -38,29 +38,29 @@ class _Loader(Composer, yaml.CSafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
         """Compose a node; reject it if it is too deep, an alias of a node around it, or too large."""
         event = self.peek_event()
-        if self._depth >= _DEEPEST:
-            raise _refused(event, f"nested too deep; accepted: up to {_DEEPEST} levels")
+        if self._depth >= _MAX_DEPTH:
+            raise _yaml_error(event, f"nested too deep; accepted: up to {_MAX_DEPTH} levels")
         self._depth += 1
         before = self._values
         node: yaml.Node = super().compose_node(parent, index)  # type: ignore[assignment]
         if isinstance(event, yaml.AliasEvent):
             if node not in self._values_of:
-                raise _refused(event, "a recursive alias")
+                raise _yaml_error(event, "a recursive alias")
             self._values += self._values_of[node]
         else:
             self._values += 1
             _check_keys(node)
             self._values_of[node] = self._values - before
-        if self._values > _MOST:
-            raise _refused(event, f"too many values; accepted: up to {_MOST}")
+        if self._values > _MAX_VALUES:
+            raise _yaml_error(event, f"too many values; accepted: up to {_MAX_VALUES}")
         self._depth -= 1
         return node
 
     def construct_whole_number(self, node: yaml.ScalarNode) -> int:
         """An integer of 64 bits."""
-        value: int = self.construct_yaml_int(node) if len(node.value) <= _LONGEST_NUMBER else _LARGEST
-        if not -_LARGEST <= value < _LARGEST:
-            raise _refused(node, "a whole number beyond 64 bits")
+        value: int = self.construct_yaml_int(node) if len(node.value) <= _LONGEST_NUMBER else _INTEGER_LIMIT
+        if not -_INTEGER_LIMIT <= value < _INTEGER_LIMIT:
+            raise _yaml_error(node, "a whole number beyond 64 bits")
         return value
 
 
@@ -78,15 +78,15 @@ def parse_yaml(text: str, where: str) -> Any:
     Raises:
         InputError: the text is not YAML, or exceeds the limits.
     """
-    if len(text) > LONGEST:
-        raise InputError(f"{where}: {len(text)} characters; accepted: up to {LONGEST}")
+    if len(text) > MAX_CHARACTERS:
+        raise InputError(f"{where}: {len(text)} characters; accepted: up to {MAX_CHARACTERS}")
     try:
         return yaml.load(text, Loader=_Loader)
-    except _WRONG as error:
+    except _PARSER_ERRORS as error:
         is_text = isinstance(error, (yaml.YAMLError, ValueError))
         reason = " ".join(str(error).split()) if is_text else "a value that is not of its tag"
         if "maximum nesting depth" in reason:  # PyYAML's own limit, from 6.0.4 on
-            reason = f"nested too deep; accepted: up to {_DEEPEST} levels"
+            reason = f"nested too deep; accepted: up to {_MAX_DEPTH} levels"
         raise InputError(f"{where}: not YAML ({reason})") from error
 
 
@@ -108,9 +108,9 @@ def _check_keys(node: yaml.Node) -> None:
         seen: set[str] = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise _refused(key, f"'{key.value}' is duplicated")
+                raise _yaml_error(key, f"'{key.value}' is duplicated")
             seen.add(str(key.value))
 
 
-def _refused(at: Any, problem: str) -> yaml.MarkedYAMLError:
+def _yaml_error(at: Any, problem: str) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError, did_you_mean
 
-_LONGEST = 2.0**31  # s
+_MAX_SECONDS = 2.0**31  # s
 
 
 def check_keys(
@@ -87,7 +87,7 @@ def number(where: str, value: Any) -> float:
     return float(value)
 
 
-def positive(where: str, value: Any) -> float:
+def positive_number(where: str, value: Any) -> float:
     """The value, which must be a finite number above zero.
 
     Raises:
@@ -106,7 +106,7 @@ def nanoseconds(where: str, value: Any) -> int:
         InputError: the value is no finite number, or larger than any stamp.
     """
     seconds = number(where, value)
-    if abs(seconds) > _LONGEST:
+    if abs(seconds) > _MAX_SECONDS:
         raise InputError(f"{where}: {seconds:g} is out of range; accepted: at most 2^31 s either way")
     return round(seconds * 1e9)
 

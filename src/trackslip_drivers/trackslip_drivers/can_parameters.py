@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import parameter
-from trackslip_common.vehicle_files import WithVehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle
 from trackslip_common.yaml_text import parse_yaml
 
 NODE = "can_driver"
@@ -34,7 +34,7 @@ _INTERFACES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanDriverParameters(WithVehicle):
+class CanDriverParameters(ParametersWithVehicle):
     """Bus, frames, roles of their signals, and conversion to motion."""
 
     can_interface: str = parameter("python-can interface", choices=_INTERFACES)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import parameter
-from trackslip_common.vehicle_files import WithVehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle
 
 NODE = "wheel_adapter"
 MESSAGES = {
@@ -18,7 +18,7 @@ MESSAGES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelParameters(WithVehicle):
+class WheelParameters(ParametersWithVehicle):
     """Source of the motion, and its conversion to that of the vehicle's two sprockets."""
 
     topic: str = parameter("topic to subscribe to")

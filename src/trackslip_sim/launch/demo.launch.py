@@ -12,7 +12,7 @@ from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 from trackslip_common.nodes.launching import Launched, declared, nodes, number, switch, switched_on
-from trackslip_common.vehicle_files import ASSUMED
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
 
 _OWN = {
@@ -38,7 +38,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
         duration=number(context, "duration", float),
         soil=given["soil"],
         scenario=given["scenario"],
-        vehicle=given["vehicle"] or ASSUMED,
+        vehicle=given["vehicle"] or DEFAULT_VEHICLE,
         autostart=True,
         laser=switch(context, "laser"),
         gnss=switch(context, "gnss"),
@@ -56,5 +56,7 @@ def _launched(specs: Iterable[NodeSpec]) -> list[Launched]:
 
 def _executables() -> list[str]:
     """Executables of all nodes that the demo can have."""
-    everything = DemoOptions(Path(), Path(), 0, 0.0, "", "", ASSUMED, autostart=True, laser=True, gnss=True)
+    everything = DemoOptions(
+        Path(), Path(), 0, 0.0, "", "", DEFAULT_VEHICLE, autostart=True, laser=True, gnss=True
+    )
     return [node.executable for node in (*demo_nodes(everything), LIVE)]

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import parameter
-from trackslip_common.vehicle_files import WithVehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
 from trackslip_sim.machine.emulation import BODY_FRAME
 from trackslip_sim.machine.gnss_model import GnssParameters
@@ -20,7 +20,7 @@ DEFAULT_FILES = ("site.yaml", "emulator.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmulatorParameters(WithVehicle):
+class EmulatorParameters(ParametersWithVehicle):
     """One emulated drive."""
 
     site: SiteParameters

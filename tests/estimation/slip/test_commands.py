@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import reloadable
+from trackslip_common.parameters import reloadable_names
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import (
     FREEZE,
@@ -150,7 +150,7 @@ def test_set_pose_without_a_covariance_is_refused(found: list[Measurement]) -> N
 def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     estimator = running(found)
     timeouts = {"sources.box_pose.timeout", "sources.imu_data_raw.timeout"}
-    assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable(estimator.parameters)
+    assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable_names(estimator.parameters)
     estimator.process(Reload({"gate_probability": 0.5, "sources.box_pose.timeout": 3.0}))
     reports = [estimator.process(m)[0] for m in after(found, 8.0)]
     (gate,) = {r.gate for r in reports if r.source == "imu/data_raw"}

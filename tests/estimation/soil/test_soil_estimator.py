@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from trackslip_common.parameters import reloadable
+from trackslip_common.parameters import reloadable_names
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.classes import soil_thrust_limit
@@ -226,7 +226,7 @@ def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None
     spinning.set_parameters(patient)
     assert spinning.is_stuck == (False, False)
     stuck = {"high_slip", "stuck_time", "stuck_probability"}
-    assert reloadable(SoilEstimatorParameters) == {"low_reserve"} | stuck
+    assert reloadable_names(SoilEstimatorParameters) == {"low_reserve"} | stuck
 
 
 def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:

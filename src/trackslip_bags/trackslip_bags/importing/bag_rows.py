@@ -40,7 +40,7 @@ from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import PLANE_IN_6
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
-from trackslip_common.turns import continuous
+from trackslip_common.turns import unwrap_angles
 
 Row = tuple[float, ...]
 
@@ -280,7 +280,7 @@ def _twist_values(rows: FloatArray, topic: BagTopic) -> Values:
 def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
     """Sprocket speeds and angles by the joints; a joint's position may restart after each turn."""
     speeds, angles = np.split(rows, 2, axis=1)
-    turned = [continuous(stamps_ns, *pair) for pair in zip(angles.T, speeds.T, strict=True)]
+    turned = [unwrap_angles(stamps_ns, *pair) for pair in zip(angles.T, speeds.T, strict=True)]
     velocity, position = _means(speeds, topic), _means(np.column_stack(turned), topic)
     if np.isnan(velocity).any() and np.isfinite(position).all():
         velocity = differences(position, stamps_ns)

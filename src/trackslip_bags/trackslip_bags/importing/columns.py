@@ -10,7 +10,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.units import UNITS, factor_to_si
-from trackslip_common.yaml_tree import check_keys, flag, number, positive, section, texts
+from trackslip_common.yaml_tree import check_keys, flag, number, positive_number, section, texts
 
 ISO = "iso8601"
 FIRST = "first"  # as an origin: the first value of the column
@@ -148,7 +148,11 @@ def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -
 
 def _stddev(where: str, value: Any, quantity: str) -> float | Column:
     """A number, SI, or a column."""
-    return read_column(where, value, (quantity,)) if isinstance(value, Mapping) else positive(where, value)
+    return (
+        read_column(where, value, (quantity,))
+        if isinstance(value, Mapping)
+        else positive_number(where, value)
+    )
 
 
 def _variance(where: str, value: Any, quantity: str) -> float | Column:

@@ -20,7 +20,7 @@ from trackslip_bags.importing.samples import Samples, Values, yaw_of
 from trackslip_bags.importing.times import LIMIT_NS, time_text, too_late
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
-from trackslip_common.turns import continuous
+from trackslip_common.turns import unwrap_angles
 from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
@@ -229,7 +229,7 @@ def _without_restarts(
     counters = _COUNTERS if (known == np.round(known)).all() else ()
     for modulus in (*((turn,) if turn else ()), *counters):
         found = values.copy()
-        found[timed] = continuous(stamps_ns[timed], values[timed], speeds[timed], modulus)
+        found[timed] = unwrap_angles(stamps_ns[timed], values[timed], speeds[timed], modulus)
         if not np.array_equal(found, values, equal_nan=True):
             if modulus != turn:
                 table.notes.append(

@@ -29,7 +29,7 @@ from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
 from trackslip_common.vehicle import VehicleParameters
-from trackslip_common.vehicle_files import load_vehicle, vehicle_layer, vehicle_of
+from trackslip_common.vehicle_files import load_vehicle, make_vehicle, vehicle_layer
 from trackslip_common.yaml_tree import check_keys, nanoseconds, number, section, text
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
@@ -97,7 +97,7 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
     """Vehicle by its name, from a file, here or beside the mapping, or as stated in the mapping."""
     where = f"{path}: vehicle"
     if isinstance(value, Mapping):
-        return vehicle_of(path.stem, flatten(value), where)
+        return make_vehicle(path.stem, flatten(value), where)
     name = text(where, value)
     beside = path.parent / name
     try:

@@ -23,7 +23,7 @@ from trackslip_common.yaml_tree import (
     flag,
     nanoseconds,
     number,
-    positive,
+    positive_number,
     section,
     text,
     texts,
@@ -204,7 +204,8 @@ def _joints(where: str, value: Any) -> Joints:
     check_keys(where, value, ("joints",), ("sign", "ratio"))
     sign = _sign(f"{where}.sign", value.get("sign", 1))
     return Joints(
-        texts(f"{where}.joints", value["joints"]), sign * positive(f"{where}.ratio", value.get("ratio", 1.0))
+        texts(f"{where}.joints", value["joints"]),
+        sign * positive_number(f"{where}.ratio", value.get("ratio", 1.0)),
     )
 
 
@@ -239,4 +240,4 @@ def _require_geometry(where: str, columns: Mapping[str, Column], geometry: Geome
 def _own_geometry(where: str, value: Any) -> Geometry:
     tree = section(where, value)
     check_keys(where, tree, Geometry._fields, ())
-    return Geometry(*(positive(f"{where}.{name}", tree[name]) for name in Geometry._fields))
+    return Geometry(*(positive_number(f"{where}.{name}", tree[name]) for name in Geometry._fields))

@@ -21,7 +21,7 @@ from trackslip_bags.recovery.salvage import MAGIC, DamagedFile, SalvagedTopic
 from trackslip_bags.sources import PACKED, TopicInfo, bag_files, begins_with
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
-from trackslip_common.yaml_text import LONGEST, parse_yaml
+from trackslip_common.yaml_text import MAX_CHARACTERS, parse_yaml
 
 _CDR = b"\0"  # first byte of every CDR message
 _SHOWN = 1000  # messages between two progress reports
@@ -165,7 +165,7 @@ def _stated_count(path: Path) -> int | None:
     """Number of messages stated in ``metadata.yaml``; None if unreadable."""
     try:
         with (path / METADATA).open(encoding="utf-8") as file:
-            text = file.read(LONGEST + 1)
+            text = file.read(MAX_CHARACTERS + 1)
         count = parse_yaml(text, "metadata")["rosbag2_bagfile_information"]["message_count"]
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None

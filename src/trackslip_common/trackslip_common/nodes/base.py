@@ -22,7 +22,7 @@ from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.packed import PackedMessage
-from trackslip_common.parameters import Parameters, reloadable, to_flat
+from trackslip_common.parameters import Parameters, reloadable_names, to_flat
 from trackslip_common.tally import Tally
 from trackslip_common.topics import COMMANDS
 
@@ -160,7 +160,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
 
     def _on_set_parameters(self, parameters: list[Any]) -> SetParametersResult:
         """Accept changes of reloadable parameters; ROS itself rejects all others."""
-        known = reloadable(self.settings)
+        known = reloadable_names(self.settings)
         values = {p.name: p.value for p in parameters if p.name in known}
         before = self.settings
         try:

@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from trackslip_common.layout import ANY, Field
+from trackslip_common.layout import ANY_LENGTH, Field
 from trackslip_common.packed import PackedTopic
 from trackslip_common.topics import TOPICS
 
@@ -59,4 +59,4 @@ def _field(name: str, text: str) -> Field:
     assert found is not None, text
     kind, kept, count = found.groups()
     kind = kind.replace("/", "/msg/") if "/" in kind else _NUMBERS.get(kind, kind)
-    return Field(name, kind, int(count) if count else ANY if kept else None)
+    return Field(name, kind, int(count) if count else ANY_LENGTH if kept else None)

@@ -62,11 +62,11 @@ def read_overrides(
     name, defaults = node.get_name(), node_defaults(what, *default_files)
     shared_by_many = _names_for_many(sys.argv)
     if shared_by_many & given.keys():
-        known = {*known_names(kind, kind.overlaid(defaults, given), name), *kind.NAMED}
+        known = {*known_names(kind, kind.overlay(defaults, given), name), *kind.EXTRA_NAMES}
         for key in sorted(shared_by_many & given.keys() - known):
             node.get_logger().info(f"parameter '{key}', given to many nodes, is none of this one")
             del given[key]
-    return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlaid(defaults, given), name)
+    return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlay(defaults, given), name)
 
 
 def _names_for_many(arguments: Sequence[str]) -> frozenset[str]:
@@ -93,7 +93,7 @@ def changed(record: P, values: Mapping[str, Any], where: str) -> P:
     Raises:
         InputError: a value is rejected.
     """
-    return from_flat(type(record), record.overlaid(to_flat(record), values), where)
+    return from_flat(type(record), record.overlay(to_flat(record), values), where)
 
 
 def differences(before: Parameters, after: Parameters) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _descriptor(kind: Any, spec: Spec) -> ParameterDescriptor:
     """The descriptor that ``ros2 param describe`` shows."""
     unit = f" [{spec.unit}]" if spec.unit else ""
     descriptor = ParameterDescriptor(description=spec.description + unit, read_only=spec.read_only)
-    descriptor.additional_constraints = spec.accepted()
+    descriptor.additional_constraints = spec.accepted_range()
     low = spec.ge if spec.ge is not None else spec.gt
     high = spec.le if spec.le is not None else spec.lt
     if kind is float and (low is not None or high is not None):

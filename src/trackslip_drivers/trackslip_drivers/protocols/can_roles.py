@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameter_spec import Spec, coerced
+from trackslip_common.parameter_spec import Spec, convert_value
 from trackslip_common.yaml_tree import check_keys, section
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Protection
 from trackslip_drivers.protocols.units import Quantity
@@ -153,4 +153,4 @@ def _parse_protection(where: str, entry: Any) -> Protection:
 
 def _convert_value(where: str, value: Any, default: Any) -> Any:
     """The value, converted to the type of the key's default."""
-    return coerced(where, value, type(default), Spec(""))
+    return convert_value(where, value, type(default), Spec(""))

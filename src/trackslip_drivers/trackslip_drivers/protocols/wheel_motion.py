@@ -76,7 +76,7 @@ class JointMotion:
         found = list(positions)
         for name, turns in self._turns.items() if found else ():
             k = index[name]
-            found[k] = turns.continuous(stamp_ns, found[k], velocities[k] if velocities else math.nan)
+            found[k] = turns.unwrap(stamp_ns, found[k], velocities[k] if velocities else math.nan)
         return found
 
     def _side_means(self, values: Sequence[float], index: Mapping[str, int]) -> tuple[float, float]:

@@ -111,7 +111,7 @@ class BoxLocalizer:
 
     def _check_stamp(self, stamp_ns: int) -> Reason | None:
         """Return why a scan is rejected for its stamp, or None; restart if stamps have gone back."""
-        status = self._clock.later_sample(stamp_ns)
+        status = self._clock.check_increasing_sample(stamp_ns)
         if status is StampStatus.BACK:
             self._restart(stamp_ns)
         elif status is not StampStatus.IN_LINE:
@@ -141,7 +141,7 @@ class BoxLocalizer:
             self.reset()
         self._tracks = [None, *last] if is_another_run else [*last, None]
         self._clock = self._new_clock()
-        self._clock.later_sample(stamp_ns)
+        self._clock.check_increasing_sample(stamp_ns)
         self.restarts += 1
 
     @property

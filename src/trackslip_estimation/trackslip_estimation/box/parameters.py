@@ -5,7 +5,7 @@
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle_files import WithVehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle
 
 NODE = "box_localizer"
 DEFAULT_FILES = ("site.yaml", "box_localizer.yaml")
@@ -76,7 +76,7 @@ class BoxLocalizerParameters(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoxNodeParameters(BoxLocalizerParameters, WithVehicle):
+class BoxNodeParameters(BoxLocalizerParameters, ParametersWithVehicle):
     """Parameters of the localizer, of the vehicle with the box, and of the frame of the poses."""
 
     map_frame: str = parameter("site frame, in which the pose of the laser is given")

@@ -75,14 +75,16 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
     def configure(self) -> None:
         """Create the estimator, its outputs and its inputs."""
-        self._estimator = None if self.settings.vehicle.lacks else SoilEstimator(self.settings)
+        self._estimator = (
+            None if self.settings.vehicle.missing_groups_message else SoilEstimator(self.settings)
+        )
         self._inputs = self._published = 0
         self._received: float | None = None  # s, steady: time of the last machine state
         self._reported: Any = None
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
         if self._estimator is None:
-            self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NO_OUTPUT_TEXT}")
+            self.get_logger().warning(f"{self.settings.vehicle.missing_groups_message}: {NO_OUTPUT_TEXT}")
             return
         self.subscribe_packed(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
         self.subscribe_packed(topic_class(MACHINE_STATE), MACHINE_STATE, self._on_machine_state)
@@ -95,7 +97,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def health(self) -> list[Health]:
         """Return waiting, running, or what is wrong, with unused inputs by source and reason."""
         if self._estimator is None:
-            return [Health(WARN, f"{self.settings.vehicle.lacks}: {NO_OUTPUT_TEXT}")]
+            return [Health(WARN, f"{self.settings.vehicle.missing_groups_message}: {NO_OUTPUT_TEXT}")]
         total = self._estimator.tally.total
         rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
         counts = {"inputs": self._inputs, "messages": self._published, **rejected}

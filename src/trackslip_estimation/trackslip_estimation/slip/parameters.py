@@ -13,9 +13,9 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters, node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
+from trackslip_common.parameters import Group, checked_value, from_flat, parameter, to_flat
 from trackslip_common.topics import FIX_VELOCITY
-from trackslip_common.vehicle_files import WithVehicle, names_vehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle, has_vehicle_name
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
@@ -64,7 +64,7 @@ _YAW_STDDEVS: Mapping[str, float] = MappingProxyType(
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlipEstimatorParameters(ModelParameters, WithVehicle):
+class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
     """All parameters of the slip estimator."""
 
     motion: MotionParameters
@@ -194,7 +194,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         Raises:
             InputError: a list is invalid, or names a source twice.
         """
-        lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
+        lists = {kind: checked_value(cls, kind, values[kind], where) for kind in KINDS if kind in values}
         antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
         mounted = {
             topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()
@@ -211,13 +211,13 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         return {"sources": source_groups(lists, mounted, where)}
 
     @classmethod
-    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    def overlay(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
         """Values with others over them; groups of sources that are no longer listed go.
 
         By default a named vehicle with an antenna, and without a box for a laser, is located by its receiver.
         """
-        values = super().overlaid(below, above)
-        if names_vehicle(above) and "pose_sources" not in above and _is_located_by_receiver(values):
+        values = super().overlay(below, above)
+        if has_vehicle_name(above) and "pose_sources" not in above and _is_located_by_receiver(values):
             above = {**_receiver_defaults(), **above}
             values |= above
         if above.keys().isdisjoint(KINDS):
@@ -321,7 +321,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         Raises:
             InputError: a name is unknown or a value invalid.
         """
-        return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
+        return from_flat(type(self), self.overlay(to_flat(self), values), NODE)
 
     @property
     def frames(self) -> tuple[str, str, str]:

@@ -11,7 +11,7 @@ from trackslip_common.parameter_record import record_of
 from trackslip_common.parameters import Parameters, from_flat, parameter, to_flat
 from trackslip_common.record_types import Record, Table
 from trackslip_common.vehicle import Vehicle
-from trackslip_common.vehicle_files import WithVehicle
+from trackslip_common.vehicle_files import ParametersWithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.flow_check import FlowParameters
@@ -63,7 +63,7 @@ class SoilNumbers(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SoilEstimatorParameters(SoilNumbers, WithVehicle):
+class SoilEstimatorParameters(SoilNumbers, ParametersWithVehicle):
     """All parameters of the soil estimator."""
 
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
@@ -80,7 +80,7 @@ class SoilEstimatorParameters(SoilNumbers, WithVehicle):
         Raises:
             InputError: a name is unknown or a value refused.
         """
-        return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
+        return from_flat(type(self), self.overlay(to_flat(self), values), NODE)
 
 
 class VehicleField(Record):

@@ -27,11 +27,13 @@ def validate(field: str, value: ArrayLike, unit: str = "", **bounds: float) -> F
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{field} = {value!r} is refused; accepted: numbers {spec.accepted()}") from error
+        raise InputError(
+            f"{field} = {value!r} is refused; accepted: numbers {spec.accepted_range()}"
+        ) from error
     good = np.isfinite(array)
     for name, bound in bounds.items():
         good = good & _COMPARISONS[name](array, bound)
     if not np.all(good):
         first = float(array[~good].flat[0])
-        raise InputError(f"{field} = {first:g} is refused; accepted: {spec.accepted()}")
+        raise InputError(f"{field} = {first:g} is refused; accepted: {spec.accepted_range()}")
     return array

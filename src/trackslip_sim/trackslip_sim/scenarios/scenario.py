@@ -14,7 +14,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle_files import ASSUMED
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, load, named, number, refuse_unknown, text
 from trackslip_sim.scenarios.terrains import load_terrain
@@ -61,7 +61,7 @@ class Scenario:
     terrain: Terrain = FLAT
     relief_pressure: float | None = None  # Pa; None: the vehicle's
     faults: tuple[Fault, ...] = ()  # of the sensors of the emulator
-    vehicle: str = ASSUMED  # default vehicle of the scenario
+    vehicle: str = DEFAULT_VEHICLE  # default vehicle of the scenario
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -192,7 +192,7 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
         terrain=load_terrain(text(tree, "terrain")) if "terrain" in tree else FLAT,
         relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
         faults=tuple(each(tree, "faults", read_fault)),
-        vehicle=text(tree, "vehicle") if "vehicle" in tree else ASSUMED,
+        vehicle=text(tree, "vehicle") if "vehicle" in tree else DEFAULT_VEHICLE,
     )
 
 

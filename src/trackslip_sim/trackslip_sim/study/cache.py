@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from trackslip_common.errors import InputError
-from trackslip_common.json_records import parse_line, read_lines, record
+from trackslip_common.json_records import make_record, parse_line, read_lines
 
 R = TypeVar("R")
 
@@ -59,7 +59,7 @@ class Cache(Generic[R]):
     def _remember(self, line: str) -> None:
         entry = parse_line(line) or {}
         with suppress(TypeError):  # truncated, or of another kind or version
-            self._pieces[str(entry.get("key"))] = record(self._kind, entry.get("row"))
+            self._pieces[str(entry.get("key"))] = make_record(self._kind, entry.get("row"))
 
 
 def key_of(parts: Mapping[str, Any], *modules: ModuleType) -> str:

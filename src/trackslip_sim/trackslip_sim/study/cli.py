@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.errors import ExitCode, InputError
-from trackslip_common.vehicle_files import ASSUMED, load_vehicle
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE, load_vehicle
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_sim.study.engine import BEGINNING, Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
@@ -72,10 +72,8 @@ def run(args: argparse.Namespace) -> int:
     workers = partial(worker_options.chosen, args, most=len(study))
     running = study.run(args.cache, workers, fresh=args.fresh)
     rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
-    print(
-        f"vehicle: {load_vehicle(args.vehicle or ASSUMED).name}\n\n{for_terminal(study.markdown(rows))}",
-        end="",
-    )
+    vehicle = load_vehicle(args.vehicle or DEFAULT_VEHICLE)
+    print(f"vehicle: {vehicle.name}\n\n{for_terminal(study.markdown(rows))}", end="")
     print(f"\n{len(study)} {study.UNIT} in {waited_s():.1f} s")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from trackslip_common.config_files import nested
+from trackslip_common.config_files import unflatten
 from trackslip_tools.calibration.calibrate import Calibration
 from trackslip_tools.calibration.finding import Finding, rounded
 from trackslip_tools.cli.outputs import write_file
@@ -46,7 +46,7 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
         InputError: the file cannot be written.
     """
     evidence = text(calibration).splitlines()
-    content = {node: {"ros__parameters": nested(v)} for node, v in calibration.parameters.items()}
+    content = {node: {"ros__parameters": unflatten(v)} for node, v in calibration.parameters.items()}
     heads = [*(f"{BEGINNING}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
     lines = [*heads, yaml.safe_dump(content, sort_keys=False)]
     write_file("output", path, "\n".join(lines))

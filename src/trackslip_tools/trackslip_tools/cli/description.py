@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 from trackslip_bags.parameters import bag_vehicle, namespaces
 from trackslip_bags.reader import Bag, in_namespace
 from trackslip_common.errors import printable
-from trackslip_common.vehicle_files import ASSUMED
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 from trackslip_tools.terminal_text import table, wrapped
 
 _LATEST = 253_402_300_800  # s since 1970, the end of the calendar
@@ -46,7 +46,7 @@ def _vehicles(bag: Bag) -> list[str]:
     lines = []
     for namespace in namespaces(bag):
         vehicle = bag_vehicle(in_namespace(bag, namespace) if namespace else bag)
-        name = f"not named: {ASSUMED} is assumed" if vehicle is None else printable(vehicle.name)
+        name = f"not named: {DEFAULT_VEHICLE} is assumed" if vehicle is None else printable(vehicle.name)
         lines.append(f"vehicle   {name}" + (f" (--namespace {printable(namespace)})" if namespace else ""))
     return lines
 

@@ -17,7 +17,7 @@ from trackslip_common.config_files import config_file, node_defaults, node_param
 from trackslip_common.errors import InputError, collected, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
-from trackslip_common.vehicle_files import IS_ASSUMED, load_vehicle, names_vehicle, vehicle_layer
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, has_vehicle_name, load_vehicle, vehicle_layer
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.setup_check.finding import Result
@@ -130,13 +130,16 @@ def parameters_of(
     carried, *given = _layers(bag, files, settings, NODE)
     named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle, **_antenna_of(vehicle, carried)}
     p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, carried, named, *given)
-    if any(map(names_vehicle, (named, *given))):
+    if any(map(has_vehicle_name, (named, *given))):
         show(f"vehicle: {p.vehicle.name}")
     elif of_bag is not None:
         show(f"vehicle: {p.vehicle.name}, the bag's")
     else:
         others = ", ".join(filter(None, namespaces(bag)))
-        show(IS_ASSUMED + (f"; it has machines in --namespace {others}" if others else ""), is_note=True)
+        show(
+            DEFAULT_VEHICLE_NOTE + (f"; it has machines in --namespace {others}" if others else ""),
+            is_note=True,
+        )
     return p
 
 
@@ -165,8 +168,8 @@ def soil_parameters_of(
     """
     if not any(relative(topic) == HYDRAULICS for topic in bag.topics):
         return None
-    if p.vehicle.lacks:
-        show(f"soil: {p.vehicle.lacks}: no forces and no soil are estimated")
+    if p.vehicle.missing_groups_message:
+        show(f"soil: {p.vehicle.missing_groups_message}: no forces and no soil are estimated")
         return None
     carried, *given = _layers(bag, files, settings, SOIL_NODE)
     return load_soil_parameters(carried, *given, vehicle_layer(p.vehicle))
@@ -223,8 +226,8 @@ def _known(node: str, values: Mapping[str, Any], where: str) -> set[str]:
     """Names of a node's parameters, when these values override its defaults."""
     kind = _KINDS[node]
     return {
-        *known_names(kind, kind.overlaid(node_defaults(node, f"{node}.yaml"), values), where),
-        *kind.NAMED,
+        *known_names(kind, kind.overlay(node_defaults(node, f"{node}.yaml"), values), where),
+        *kind.EXTRA_NAMES,
     }
 
 

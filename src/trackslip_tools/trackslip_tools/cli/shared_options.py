@@ -5,7 +5,7 @@
 import argparse
 from pathlib import Path
 
-from trackslip_common.vehicle_files import ASSUMED
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 
 
 def add_bag(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
 
 def add_vehicle(parser: argparse._ActionsContainer, default: str) -> None:
     """Declare ``--vehicle``."""
-    about = f"a name of config/vehicles, or a file (default: {default}, else {ASSUMED})"
+    about = f"a name of config/vehicles, or a file (default: {default}, else {DEFAULT_VEHICLE})"
     parser.add_argument("--vehicle", metavar="NAME|FILE", help=about)
 
 

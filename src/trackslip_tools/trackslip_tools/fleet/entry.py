@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.errors import ExitCode, InputError, collected
-from trackslip_common.vehicle_files import IS_ASSUMED
+from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.output import summary
 from trackslip_tools.replay.parts import Part, Watch
@@ -35,7 +35,7 @@ class Entry:
     def vehicle(self) -> str:
         """Name of the vehicle, marked if assumed; empty if the bag could not be read."""
         name = self.summary.get("vehicle", "")
-        is_assumed = any(note.startswith(IS_ASSUMED) for note in self.notes)
+        is_assumed = any(note.startswith(DEFAULT_VEHICLE_NOTE) for note in self.notes)
         return f"{name} (assumed)" if is_assumed else name
 
     def as_dict(self) -> dict[str, Any]:

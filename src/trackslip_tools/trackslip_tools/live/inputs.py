@@ -15,7 +15,7 @@ from trackslip_common.message_fields import (
     SoilFields,
     SwingFields,
 )
-from trackslip_common.message_reading import At, RecordClass
+from trackslip_common.message_reading import FieldPath, RecordClass
 from trackslip_common.orientations import heading_of
 from trackslip_common.topics import ATTITUDE, DIAGNOSTICS, FORCES, ODOMETRY, SOIL, TOPICS, TRACK_SLIP
 
@@ -29,11 +29,13 @@ _IMU = "sensor_msgs/msg/Imu"
 class AttitudeFields(NamedTuple):
     """Orientation and its covariance in sensor_msgs/Imu."""
 
-    qx: Annotated[float, At("orientation.x")]
-    qy: Annotated[float, At("orientation.y")]
-    qz: Annotated[float, At("orientation.z")]
-    qw: Annotated[float, At("orientation.w")]
-    covariance: Annotated[FloatArray, At("orientation_covariance", (0, 4), (2,))]  # of roll, pitch, rad²
+    qx: Annotated[float, FieldPath("orientation.x")]
+    qy: Annotated[float, FieldPath("orientation.y")]
+    qz: Annotated[float, FieldPath("orientation.z")]
+    qw: Annotated[float, FieldPath("orientation.w")]
+    covariance: Annotated[
+        FloatArray, FieldPath("orientation_covariance", (0, 4), (2,))
+    ]  # of roll, pitch, rad²
 
 
 RECORDS: dict[str, RecordClass] = {

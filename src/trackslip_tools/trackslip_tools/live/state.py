@@ -17,7 +17,7 @@ import numpy as np
 from trackslip_common.errors import InputError, printable
 from trackslip_common.topics import DIAGNOSTICS, ODOMETRY, SOIL
 from trackslip_common.vehicle import VehicleParameters
-from trackslip_common.vehicle_files import vehicle_of_text
+from trackslip_common.vehicle_files import parse_vehicle
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import finite, outline
 from trackslip_tools.live.facts import facts_of
@@ -174,7 +174,7 @@ class LiveState:
         if self._keeps_vehicle:
             return
         try:
-            self._vehicle = vehicle_of_text(text, inputs.VEHICLE)
+            self._vehicle = parse_vehicle(text, inputs.VEHICLE)
         except InputError as error:
             self._events.add(Level.WARN, str(error), *self._clock)
 

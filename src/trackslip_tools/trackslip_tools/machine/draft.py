@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameter_spec import Spec, check
+from trackslip_common.parameter_spec import Spec, check_value
 from trackslip_common.parameters import flat_fields
 from trackslip_common.vehicle import VehicleParameters
-from trackslip_common.vehicle_files import vehicle_of
+from trackslip_common.vehicle_files import make_vehicle
 
 MASS = "mass.mass"
 RADIUS = "kinematics.rolling_radius"
@@ -114,7 +114,7 @@ def draft(name: str, known: Mapping[str, float]) -> Draft:
     """
     for one, spec in _specs():
         if one in known:
-            check(f"vehicle '{name}': {one}", known[one], float, spec)
+            check_value(f"vehicle '{name}': {one}", known[one], float, spec)
     values, guessed = dict(known), dict[str, float]()
     lacking = [one for one in NEEDED if one not in values]
     if MASS in lacking and len(lacking) > 1:
@@ -135,7 +135,7 @@ def draft(name: str, known: Mapping[str, float]) -> Draft:
         values["mass.yaw_inertia"], guessed["mass.yaw_inertia"] = _rounded(inertia), 0.3
     missing = tuple(_left_out(values))
     kept = {one: value for one, value in values.items() if _is_whole(one, values)}
-    vehicle = vehicle_of(name, kept, f"vehicle '{name}'")
+    vehicle = make_vehicle(name, kept, f"vehicle '{name}'")
     return Draft(vehicle, kept, guessed, missing)
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray, Rows
-from trackslip_common.orientations import headings_of, tilts_of, wrapped
+from trackslip_common.orientations import headings_of, tilts_of, wrap_angles
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_from_half_angles
 from trackslip_tools.replay.comparable import Comparability, ComparablePart
@@ -279,7 +279,7 @@ def _difference(a: Rows, b: Rows) -> _Difference:
     for name in (a.dtype.names or ())[1:]:
         apart: FloatArray = np.abs(a[name] - b[name])
         if name == "heading":
-            apart = np.abs(wrapped(apart))
+            apart = np.abs(wrap_angles(apart))
         apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)
         largest = max(largest, _Difference(float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)), name))
     return largest

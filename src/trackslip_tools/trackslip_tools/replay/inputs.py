@@ -32,7 +32,7 @@ from trackslip_common.arrays import BoolArray, IntArray, Rows
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, SwingFields
 from trackslip_common.message_reading import frame_number
-from trackslip_common.parameters import reloadable
+from trackslip_common.parameters import reloadable_names
 from trackslip_common.tally import Tally
 from trackslip_common.topics import FIX_VELOCITY, ODOMETRY, TOPICS, TRACK_SLIP, TRUE_SWING
 from trackslip_estimation.slip.measurements import (
@@ -96,7 +96,7 @@ class InputStream:
         backwards = {after: before for before, after in filters.remap.items()}
         require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
         self._bag, self._filters, self._tables = bag, filters, tables
-        self._reloadable = reloadable(p)
+        self._reloadable = reloadable_names(p)
         names = {topic: filters.remap.get(name, name) for topic, name in input_names(bag).items()}
         self._readers = _readers(p, {name: bag.topics[topic].type_name for topic, name in names.items()})
         self.sources = (*self._readers, RELOAD, *_COMMANDS)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray, Rows
-from trackslip_common.orientations import wrapped
+from trackslip_common.orientations import wrap_angles
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.series import Series
 
@@ -148,7 +148,7 @@ def errors_of(path: Path, reference: Path) -> FloatArray:
     inside = _inside(path, reference)
     stamps_ns = reference.stamps_ns[inside]
     errors: FloatArray = path.at(stamps_ns) - reference.poses[inside]
-    errors[:, 2] = wrapped(errors[:, 2])
+    errors[:, 2] = wrap_angles(errors[:, 2])
     return errors
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from trackslip_common.arrays import Rows
-from trackslip_common.orientations import tilts_of, wrapped
+from trackslip_common.orientations import tilts_of, wrap_angles
 from trackslip_tools.replay.errors import Pairs
 
 
@@ -67,7 +67,7 @@ class SwingErrors:
             return
         found, true = pairs
         expected = np.interp(found["stamp_ns"], true["stamp_ns"], np.unwrap(true["angle"]))
-        errors = wrapped(found["angle"] - expected)
+        errors = wrap_angles(found["angle"] - expected)
         self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(found)
 
     @property

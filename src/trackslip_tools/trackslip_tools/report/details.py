@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from trackslip_common.arrays import IntArray, Rows
-from trackslip_common.orientations import wrapped
+from trackslip_common.orientations import wrap_angles
 from trackslip_estimation.slip.explanations import CompetingExplanations
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
@@ -108,6 +108,6 @@ def _expect(fixes: Rows, estimates: Rows, published: IntArray) -> None:
     span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
     share = (fixes["stamp_ns"][known] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
     step = last["pose"] - first["pose"]
-    step[:, YAW] = wrapped(step[:, YAW])
+    step[:, YAW] = wrap_angles(step[:, YAW])
     fixes["pose"][known] = first["pose"] + share[:, np.newaxis] * step
     fixes["pose_covariance"][known] = first["pose_covariance"]

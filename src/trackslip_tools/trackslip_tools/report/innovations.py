@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from trackslip_common.arrays import BoolArray, FloatArray, Rows
-from trackslip_common.orientations import wrapped
+from trackslip_common.orientations import wrap_angles
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.sources import PoseSource
@@ -164,7 +164,7 @@ def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
     diagonal = np.arange(3)
     R[:, diagonal, diagonal] = np.maximum(R[:, diagonal, diagonal], floors**2)
     d = fixes["value"] - pose
-    d[:, YAW] = wrapped(d[:, YAW])
+    d[:, YAW] = wrap_angles(d[:, YAW])
     headed = source.use_heading & (fixes["noise"][:, YAW, YAW] <= source.heading_ceiling**2)
     w = np.full((len(fixes), 3), np.nan)
     for rows, chosen in ((3, headed), (2, ~headed)):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.orientations import is_heading_known, wrapped
+from trackslip_common.orientations import is_heading_known, wrap_angles
 from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_tools.replay.scoring import moving_slips
 from trackslip_tools.replay.series import Series
@@ -84,7 +84,7 @@ def errors_of(run: Run, states: States) -> Errors | None:
     covered = np.isfinite(values[:, 0])
     if not covered.any():
         return None
-    values[:, 2] = wrapped(values[:, 2])
+    values[:, 2] = wrap_angles(values[:, 2])
     stamps_ns = reference.stamps_ns[covered]
     next_one = np.searchsorted(states.path.stamps_ns, stamps_ns)
     return Errors(run.recording.seconds(stamps_ns), values[covered], states.pose_covariances[next_one])

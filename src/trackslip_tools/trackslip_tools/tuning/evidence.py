@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from trackslip_common.config_files import nested
+from trackslip_common.config_files import unflatten
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.cli.outputs import make_folder, write_file
@@ -38,7 +38,7 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     values = to_flat(changed(p, tuning.values))
     found = {full: values[full] for tuned in tuning.values for full in expanded(p, tuned)}
     text = f"{BEGINNINGS[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
-    text += yaml.safe_dump({NODE: {"ros__parameters": nested(found)}}, sort_keys=False)
+    text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(found)}}, sort_keys=False)
     make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
     write_file("output", folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")

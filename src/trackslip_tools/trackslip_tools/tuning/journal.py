@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_common.json_records import parse_line, read_lines, record
+from trackslip_common.json_records import make_record, parse_line, read_lines
 from trackslip_tools.tuning.task import Score, Task
 
 Values = tuple[float, ...]
@@ -38,7 +38,7 @@ class Journal:
                     f"'{path}' is of other bags or parameters; accepted: another --output, or remove it"
                 )
             for entry in known[1:]:
-                self._scores[_key(entry, len(heading["names"]))] = record(Score, entry["score"])
+                self._scores[_key(entry, len(heading["names"]))] = make_record(Score, entry["score"])
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("w" if not known else "a", encoding="utf-8")
         except OSError as error:

@@ -156,5 +156,5 @@ def _bounds(where: str, name: str, given: object) -> Bounds:
     bounds = from_flat(Bounds, {"scale": "linear", **given}, where)
     for end in (bounds.low, bounds.high):
         if not numbers[known].accepts(end):
-            raise InputError(f"{where}: {end:g} is out of range; accepted: {numbers[known].accepted()}")
+            raise InputError(f"{where}: {end:g} is out of range; accepted: {numbers[known].accepted_range()}")
     return bounds
