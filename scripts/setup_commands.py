@@ -18,7 +18,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "src" / "trackslip_common"))  # packages are not installed yet
 
-from trackslip_common.whole_file import replacing  # noqa: E402 (found there)
+from trackslip_common.whole_file import atomic_replacement  # noqa: E402 (found there)
 
 LOG = ROOT / "ros2_ws" / "setup.log"
 _POLL = 0.05  # s
@@ -156,5 +156,5 @@ def write_stamp(stamp: Path, digest: str, ros: str) -> None:
 
 def write_file(path: Path, text: str, mode: int = 0o644) -> None:
     """Write a file atomically: readers find the old or the new content."""
-    with replacing(path, text, mode, sync=True):
+    with atomic_replacement(path, text, mode, sync=True):
         pass

@@ -24,7 +24,7 @@ from rclpy.task import Future
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import best_effort, publisher_qos, reliable
+from trackslip_common.nodes.qos import best_effort_qos, publisher_qos, reliable_qos
 from trackslip_common.nodes.run import Executor
 from trackslip_common.topics import TOPICS
 
@@ -78,7 +78,7 @@ def run(path: Path, name: str) -> None:
     for topic, is_reliable in own["takes"].items():
         if topic in topics:
             caused = [publish for of, publish in outputs.items() if topic in _BECAUSE_OF.get(of, ())]
-            kind, qos = topic_class(topic), reliable() if is_reliable else best_effort()
+            kind, qos = topic_class(topic), reliable_qos() if is_reliable else best_effort_qos()
             node.create_subscription(kind, topic, _calling(caused), qos, raw=True)
     for topic, publish in outputs.items():
         if topic not in _BECAUSE_OF:

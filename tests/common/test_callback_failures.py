@@ -8,13 +8,13 @@ import inspect
 import pytest
 
 from trackslip_common.nodes.failures import (
-    FEWEST,
     LOG_PERIOD_S,
+    MIN_STREAK,
     PAUSE_S,
     RECENT_S,
     STREAK_S,
     CallbackFailures,
-    cause,
+    describe_exception,
 )
 from trackslip_common.nodes.health import ERROR, OK
 
@@ -89,9 +89,9 @@ def repeat(guarded, clock, seconds, step=0.5):
 def test_uninterrupted_failures_become_hopeless_after_their_limit(failures, clock):
     guarded = failures.guard(fail, "scan", handles_data=True)
     repeat(guarded, clock, STREAK_S)
-    assert not failures.are_hopeless
+    assert not failures.has_long_streak
     guarded()
-    assert failures.are_hopeless
+    assert failures.has_long_streak
 
 
 def test_a_message_handled_well_ends_the_streak(failures, clock):
@@ -100,16 +100,16 @@ def test_a_message_handled_well_ends_the_streak(failures, clock):
     for _ in range(5):
         repeat(guarded, clock, STREAK_S - 1.0)
         other()
-    assert not failures.are_hopeless
+    assert not failures.has_long_streak
 
 
 def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
     guarded = failures.guard(fail, "scan", handles_data=True)
     timer = failures.guard(lambda: None, "timer")
-    for _ in range(FEWEST + 1):
+    for _ in range(MIN_STREAK + 1):
         repeat(guarded, clock, 1.0)
         timer()
-    assert failures.are_hopeless
+    assert failures.has_long_streak
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
 def test_rare_or_few_failures_are_not_hopeless(failures, clock, duration, step):
     guarded = failures.guard(fail, "timer")
     repeat(guarded, clock, duration, step=step)
-    assert not failures.are_hopeless
+    assert not failures.has_long_streak
 
 
 def test_guarded_callback_keeps_its_signature_for_rclpy(failures):
@@ -139,4 +139,4 @@ def test_keyboard_interrupt_is_not_caught(failures):
 
 
 def test_cause_without_a_traceback():
-    assert cause(OSError("gone")) == "OSError: gone"
+    assert describe_exception(OSError("gone")) == "OSError: gone"

@@ -17,8 +17,8 @@ import pytest
 from numba.core import event
 
 from trackslip_common import compiling, machine_code
-from trackslip_common.compiling import DESK_TEXT, compilation_announced, compilation_reported
-from trackslip_common.errors import collected
+from trackslip_common.compiling import DESK_TEXT, announce_compilation, report_compilation
+from trackslip_common.errors import collect_output
 
 CALLEE = """
 from trackslip_common.compiled import compiled
@@ -155,13 +155,13 @@ def test_machine_code_is_kept_with_the_user_where_sources_cannot_be_written(
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert machine_code.directory(str(tmp_path / "kernel.py")) == tmp_path / "trackslip"
+    assert machine_code.cache_directory(str(tmp_path / "kernel.py")) == tmp_path / "trackslip"
 
 
 def test_compilation_is_announced_at_once_while_output_is_collected(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with compilation_announced(), collected() as lines:
+    with announce_compilation(), collect_output() as lines:
         numba.njit(lambda x: x + 1.0)(1.0)
         assert capsys.readouterr().err == f"{DESK_TEXT}\n"
     assert lines == []
@@ -172,7 +172,7 @@ def test_terminal_shows_the_remaining_compile_time_and_clears_it(
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     shown = queue.Queue[str]()
-    with compilation_announced(shown.put):
+    with announce_compilation(shown.put):
         with event.trigger_event("numba:compile"):
             assert shown.get(timeout=30.0).startswith("compiling, about 120 s left")
         assert shown.get(timeout=30.0) == ""
@@ -197,7 +197,7 @@ def test_remaining_compile_time_grows_with_processor_load(
         begun.set()
         shown.put(line)
 
-    with compilation_reported(lambda _: None, report), event.trigger_event("numba:compile"):
+    with report_compilation(lambda _: None, report), event.trigger_event("numba:compile"):
         assert begun.wait(30.0)
         times["monotonic"] += elapsed
         times["process_time"] += used

@@ -6,33 +6,33 @@ import itertools
 
 import pytest
 
-from trackslip_common.flood import BURST, MOST, FloodGuard
+from trackslip_common.flood import MAX_BURST, MAX_RATE, RateLimiter
 
 
 @pytest.mark.parametrize("rate", [2000.0, 10_000.0, 1e6])
 def test_flood_is_limited_to_its_allowed_rate(rate: float) -> None:
     sent = 400_000
-    guard = FloodGuard(clock=(k / rate for k in itertools.count()).__next__)
-    passed = sum(guard.lets_pass("scan") for _ in range(sent))
-    assert passed == pytest.approx(min(BURST + sent / rate * MOST, sent), abs=2)
-    assert guard.dropped["scan"] == sent - passed
+    limiter = RateLimiter(clock=(k / rate for k in itertools.count()).__next__)
+    passed = sum(limiter.accept_message("scan") for _ in range(sent))
+    assert passed == pytest.approx(min(MAX_BURST + sent / rate * MAX_RATE, sent), abs=2)
+    assert limiter.dropped["scan"] == sent - passed
 
 
 @pytest.mark.parametrize("rate", [0.5, 100.0, 1000.0])
 def test_sensor_at_up_to_1_khz_is_never_dropped(rate: float) -> None:
     times = iter([*(k / rate for k in range(3000)), *(3000 / rate + 1.0 for _ in range(1000))])
-    guard = FloodGuard(clock=times.__next__)
-    assert all(guard.lets_pass("sprockets") for _ in range(4000))
-    assert guard.news() == {}
+    limiter = RateLimiter(clock=times.__next__)
+    assert all(limiter.accept_message("sprockets") for _ in range(4000))
+    assert limiter.new_drops() == {}
 
 
 def test_flooded_topic_does_not_block_other_topics() -> None:
-    guard = FloodGuard(clock=lambda: 0.0)
-    for _ in range(round(BURST)):
-        assert guard.lets_pass("fix")
-    assert not guard.lets_pass("fix")
-    assert guard.lets_pass("heading")
-    assert guard.news() == {"fix": 1}
-    assert guard.news() == {}
-    assert not guard.lets_pass("fix")
-    assert guard.news() == {"fix": 1}
+    limiter = RateLimiter(clock=lambda: 0.0)
+    for _ in range(round(MAX_BURST)):
+        assert limiter.accept_message("fix")
+    assert not limiter.accept_message("fix")
+    assert limiter.accept_message("heading")
+    assert limiter.new_drops() == {"fix": 1}
+    assert limiter.new_drops() == {}
+    assert not limiter.accept_message("fix")
+    assert limiter.new_drops() == {"fix": 1}

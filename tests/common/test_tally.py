@@ -19,9 +19,9 @@ def test_reasons_are_counted_by_source() -> None:
     tally.add("b", Reason.TEXT)
     tally.add("a", Reason.NUMBER, 2)
     assert tally.by_source() == {"a": {"number": 2}, "b": {"a text": 1}}
-    assert tally.since_last_look() == {("a", "number"): 2, ("b", "a text"): 1}
+    assert tally.new_counts() == {("a", "number"): 2, ("b", "a text"): 1}
     tally.add("a", Reason.NUMBER)
-    assert tally.since_last_look() == {("a", "number"): 1}
+    assert tally.new_counts() == {("a", "number"): 1}
     assert tally.total["a", "number"] == 3
 
 
@@ -30,7 +30,7 @@ def test_each_reason_shows_its_latest_detail() -> None:
     for detail in ("7 fields", "8 fields", ""):
         tally.add("a", Reason.TEXT, detail=detail)
     tally.add("a", Reason.NUMBER)
-    assert [tally.words(key) for key in tally.total] == ["8 fields", "number"]
+    assert [tally.detail_or_reason(key) for key in tally.total] == ["8 fields", "number"]
 
 
 def test_tally_is_read_while_another_thread_counts() -> None:
@@ -52,7 +52,7 @@ def test_tally_is_read_while_another_thread_counts() -> None:
         seen = 0
         while thread.is_alive():
             try:
-                seen += sum(tally.since_last_look().values())
+                seen += sum(tally.new_counts().values())
                 tally.by_source()
             except RuntimeError as error:
                 failures.append(error)
@@ -61,7 +61,7 @@ def test_tally_is_read_while_another_thread_counts() -> None:
         thread.join()
         sys.setswitchinterval(interval)
     assert failures == []
-    assert seen + sum(tally.since_last_look().values()) == 30_000
+    assert seen + sum(tally.new_counts().values()) == 30_000
 
 
 def test_reason_with_a_count_of_zero_is_not_shown() -> None:

@@ -10,7 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from trackslip_common.whole_file import UNFINISHED, replace_whole, replacing, write_whole
+from trackslip_common.whole_file import (
+    UNFINISHED_NAME,
+    atomic_replacement,
+    replace_atomically,
+    write_atomically,
+)
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 VICTIM = "of another user\n"
@@ -34,7 +39,7 @@ def page(tmp_path: Path) -> Path:
 def test_link_planted_beside_a_file_is_not_followed(page: Path, victim: Path, name: str) -> None:
     planted = page.with_name(name)
     planted.symlink_to(victim)
-    write_whole(page, "mine")
+    write_atomically(page, "mine")
     assert page.read_text(encoding="utf-8") == "mine"
     assert victim.read_text(encoding="utf-8") == VICTIM
     assert planted.is_symlink()
@@ -46,20 +51,20 @@ def test_existing_temporary_file_is_not_written_to(
 ) -> None:
     monkeypatch.setattr(secrets, "token_hex", lambda count: "0" * 2 * count)
     planted = page.with_name(".trackslip-0000000000000000.new")
-    assert UNFINISHED.fullmatch(planted.name)
+    assert UNFINISHED_NAME.fullmatch(planted.name)
     if plant == "file":
         planted.write_text(VICTIM, encoding="utf-8")
     else:
         planted.symlink_to(victim if plant == "link" else page.with_name("nothing"))
     with pytest.raises(FileExistsError):
-        write_whole(page, "mine")
+        write_atomically(page, "mine")
     assert victim.read_text(encoding="utf-8") == VICTIM
     assert [path.name for path in page.parent.iterdir()] == [planted.name]
 
 
 def test_failure_before_the_move_keeps_the_old_file(page: Path) -> None:
-    write_whole(page, "before")
-    with pytest.raises(KeyboardInterrupt), replacing(page, "after"):
+    write_atomically(page, "before")
+    with pytest.raises(KeyboardInterrupt), atomic_replacement(page, "after"):
         raise KeyboardInterrupt
     assert [(path.name, path.read_text()) for path in page.parent.iterdir()] == [("page", "before")]
 
@@ -68,16 +73,16 @@ def test_full_disk_keeps_the_old_file(page: Path, monkeypatch: pytest.MonkeyPatc
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    write_whole(page, "before")
+    write_atomically(page, "before")
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"), replacing(page, "after that", sync=True):
+    with pytest.raises(OSError, match="No space left"), atomic_replacement(page, "after that", sync=True):
         pytest.fail("it is not written yet")
     assert [(path.name, path.read_text()) for path in page.parent.iterdir()] == [("page", "before")]
 
 
 def test_link_is_replaced_and_its_target_kept(page: Path, victim: Path) -> None:
     page.symlink_to(victim)
-    replace_whole(page, "mine")
+    replace_atomically(page, "mine")
     assert not page.is_symlink()
     assert victim.read_text(encoding="utf-8") == VICTIM
 
@@ -85,7 +90,7 @@ def test_link_is_replaced_and_its_target_kept(page: Path, victim: Path) -> None:
 def test_permissions_are_those_of_any_new_file(page: Path) -> None:
     before = os.umask(0o027)
     try:
-        replace_whole(page, b"mine")
+        replace_atomically(page, b"mine")
     finally:
         os.umask(before)
     assert page.stat().st_mode & 0o777 == 0o640

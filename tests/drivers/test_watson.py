@@ -154,7 +154,7 @@ def test_the_number_of_fields_is_reported(line, text):
     stream = WatsonStream(LAYOUT, 9600, 0, Tally())
     stream.feed(line + b"\r", 10**9)
     (key,) = stream.tally.total
-    assert stream.tally.words(key) == text
+    assert stream.tally.detail_or_reason(key) == text
 
 
 def test_invalid_magnetometer_drops_only_the_magnetic_field():

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from tornado.websocket import websocket_connect
 
 from trackslip_common.config_files import parameters_text
-from trackslip_common.nodes.qos import latched
+from trackslip_common.nodes.qos import latched_qos
 
 PARAMETERS = "slip_estimator/parameters"
 
@@ -44,7 +44,7 @@ def subscribed(observer):
 @pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])
 def test_fixes_are_drawn_beside_invalid_source_names(programs, observer, source):
     port = address_of(programs.node("live", port=0))
-    stated = observer.node.create_publisher(String, PARAMETERS, latched())
+    stated = observer.node.create_publisher(String, PARAMETERS, latched_qos())
     names = ["no topic at all!", "rtk/pose"]
     stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
     poses = observer.node.create_publisher(PoseWithCovarianceStamped, source, 10)
@@ -62,7 +62,7 @@ def test_subscriptions_of_removed_sources_are_dropped(programs, observer):
     address_of(programs.node("live", port=0))
     observer.wait(lambda: "/box_pose" in subscribed(observer), "the node's subscriptions")
     first = subscribed(observer)
-    stated = observer.node.create_publisher(String, PARAMETERS, latched())
+    stated = observer.node.create_publisher(String, PARAMETERS, latched_qos())
     for names in (["rtk/pose", "lidar/pose"], ["lidar/pose", "beacon/pose"], []):
         stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
         expected = first | {f"/{name}" for name in names}

@@ -14,7 +14,7 @@ from trackslip_bags.types import ensure, fields_by
 from trackslip_common.message_buffer import MessageBuffer
 from trackslip_common.nodes.messages import fields_of, make, type_name_of
 from trackslip_common.nodes.outputs import PackedOutput
-from trackslip_common.nodes.qos import reliable
+from trackslip_common.nodes.qos import reliable_qos
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_estimation.slip import conversions as of_estimates
@@ -91,8 +91,8 @@ FILLED: dict[str, tuple[Blank, Fill]] = {
 def test_a_message_sent_as_bytes_is_what_rclpy_sends(name: str, observer: Any) -> None:
     blank, fill = FILLED[name]
     message, received = blank(make), list[bytes]()
-    observer.node.create_subscription(type(message), "line", received.append, reliable(), raw=True)
-    publisher = observer.node.create_publisher(type(message), "line", reliable())
+    observer.node.create_subscription(type(message), "line", received.append, reliable_qos(), raw=True)
+    publisher = observer.node.create_publisher(type(message), "line", reliable_qos())
     packed = PackedOutput(publisher, blank(make))
     fill(message)
     publisher.publish(message)

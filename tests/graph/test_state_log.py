@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health, StateLog, to_console
+from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health, StateLog, console_logger
 
 
 class Console:
@@ -18,39 +18,39 @@ class Console:
         self.time_s = 0.0
         self._states = StateLog(lambda level, text: self.lines.append((level, text)), lambda: self.time_s)
 
-    def see(self, *entries: Health, after_s: float = 1.0) -> None:
+    def log_changes(self, *entries: Health, after_s: float = 1.0) -> None:
         self.time_s += after_s
-        self._states.see(entries)
+        self._states.log_changes(entries)
 
 
 def test_each_change_of_state_is_one_line_and_counting_is_no_change() -> None:
     console = Console()
-    console.see(Health(OK, "running"))
+    console.log_changes(Health(OK, "running"))
     for k in range(5):
-        console.see(Health(ERROR, f"sprockets silent for {k}.5 s"))
-    console.see(Health(OK, "running"))
-    console.see(Health(OK, "running"))
+        console.log_changes(Health(ERROR, f"sprockets silent for {k}.5 s"))
+    console.log_changes(Health(OK, "running"))
+    console.log_changes(Health(OK, "running"))
     assert console.lines == [(OK, "running"), (ERROR, "sprockets silent for 0.5 s"), (OK, "running")]
 
 
 def test_part_no_longer_reported_is_logged_as_over() -> None:
     console = Console()
     running = Health(OK, "running")
-    console.see(running)
-    console.see(running, Health(WARN, "front window is dirty", part="pollution"))
-    console.see(running, Health(WARN, "front window is dirty", part="pollution"))
-    console.see(running)
-    console.see(running)
+    console.log_changes(running)
+    console.log_changes(running, Health(WARN, "front window is dirty", part="pollution"))
+    console.log_changes(running, Health(WARN, "front window is dirty", part="pollution"))
+    console.log_changes(running)
+    console.log_changes(running)
     assert console.lines[1:] == [(WARN, "pollution: front window is dirty"), (OK, "pollution: is over")]
 
 
 def test_alternating_state_is_logged_rarely_and_its_last_value_is_kept() -> None:
     console = Console()
-    console.see(Health(OK, "running"))
+    console.log_changes(Health(OK, "running"))
     for k in range(20):
-        console.see(Health(*((STALE, "no bytes") if k % 2 else (OK, "running"))), after_s=0.1)
+        console.log_changes(Health(*((STALE, "no bytes") if k % 2 else (OK, "running"))), after_s=0.1)
     assert len(console.lines) <= 4
-    console.see(Health(STALE, "no bytes"), after_s=2.0)
+    console.log_changes(Health(STALE, "no bytes"), after_s=2.0)
     assert console.lines[-1] == (STALE, "no bytes")
 
 
@@ -62,5 +62,5 @@ def test_log_line_clears_the_progress_bar_on_a_terminal(
     monkeypatch.setattr(stderr, "isatty", lambda: terminal)
     monkeypatch.setattr("sys.stderr", stderr)
     logger = SimpleNamespace(warning=stderr.write)
-    to_console(logger)(WARN, "nobody subscribes")
+    console_logger(logger)(WARN, "nobody subscribes")
     assert stderr.getvalue() == before + "nobody subscribes"

@@ -24,7 +24,7 @@ from fixtures.pieces import end, refused, square, wait
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_common.errors import ExitCode, InputError, collected, show
+from trackslip_common.errors import ExitCode, InputError, collect_output, show
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
@@ -208,7 +208,7 @@ SUMMARY = {
 
 
 def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    with collected() as lines:
+    with collect_output() as lines:
         show("a result")
         show("a note", file=sys.stderr)
     assert lines == ["a note"]

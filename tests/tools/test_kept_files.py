@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_whole
+from trackslip_common.whole_file import write_atomically
 from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.results import Row
@@ -145,7 +145,7 @@ def test_huge_file_as_journal_or_cache_is_refused(tmp_path: Path, kept: str) -> 
 def test_links_and_devices_are_written_through(tmp_path: Path, mine: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(mine)
-    write_whole(link, "through the link")
-    write_whole(Path(os.devnull), "nowhere")
+    write_atomically(link, "through the link")
+    write_atomically(Path(os.devnull), "nowhere")
     assert link.is_symlink()
     assert mine.read_text(encoding="utf-8") == "through the link"

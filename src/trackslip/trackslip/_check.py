@@ -9,8 +9,8 @@ from typing import Any
 
 from trackslip._values import as_name, as_text, as_texts, json_text
 from trackslip_bags.reader import open_bag
-from trackslip_common.compiling import compilation_announced
-from trackslip_common.errors import collected
+from trackslip_common.compiling import announce_compilation
+from trackslip_common.errors import collect_output
 from trackslip_common.yaml_tree import section
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_tools.check.bag import check_bag, whole
@@ -46,8 +46,8 @@ def check(
         InputError: the bag, a parameter or an option cannot be used.
     """
     with (
-        compilation_announced(),
-        collected(),
+        announce_compilation(),
+        collect_output(),
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
         given = as_texts("params", params), setting_texts(settings), as_name("vehicle", vehicle)

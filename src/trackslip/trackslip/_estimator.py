@@ -17,8 +17,8 @@ from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.roles import QUATERNION, ROLE_OF_TOPIC
 from trackslip_bags.reader import open_bag
-from trackslip_common.compiling import compilation_announced
-from trackslip_common.errors import InputError, collected, suggestion
+from trackslip_common.compiling import announce_compilation
+from trackslip_common.errors import InputError, collect_output, suggestion
 from trackslip_common.parameters import flatten
 from trackslip_common.yaml_tree import section
 from trackslip_estimation.slip.sources import group_name
@@ -99,11 +99,11 @@ class Estimator:
             InputError: a column is missing or of another length, or a source, unit or parameter is rejected.
         """
         table = _table(frame, self._names)
-        with tempfile.TemporaryDirectory(prefix="trackslip_") as folder, compilation_announced():
+        with tempfile.TemporaryDirectory(prefix="trackslip_") as folder, announce_compilation():
             mapping, log, bag = (Path(folder) / name for name in ("sources", "frame.csv", "bag"))
             mapping.write_text(json_text("sources", self._mapping), encoding="utf-8")
             table.write_csv(log, include_header=False)
-            with collected() as notes:
+            with collect_output() as notes:
                 try:
                     imported = import_log([log], read_mapping(mapping), bag)
                     with open_bag(bag) as opened:

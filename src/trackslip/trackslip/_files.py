@@ -14,7 +14,7 @@ import numpy as np
 import pymap3d
 
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_whole
+from trackslip_common.whole_file import write_atomically
 
 if TYPE_CHECKING:
     from trackslip._estimates import Estimates
@@ -34,7 +34,7 @@ def write(path: Path, estimates: "Estimates", datum: Datum | None) -> None:
     """
     text = _FORMS[path.suffix](estimates, datum)
     try:
-        write_whole(path, text)
+        write_atomically(path, text)
     except OSError as error:
         raise InputError(f"save: '{path}' cannot be written ({error.strerror})") from error
 

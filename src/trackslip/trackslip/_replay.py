@@ -11,8 +11,8 @@ from trackslip._check import SetupCheck, of_result, setting_texts
 from trackslip._estimates import Estimates, of_rows
 from trackslip._values import as_count, as_name, as_number, as_text, as_texts
 from trackslip_bags.reader import Bag, open_bag
-from trackslip_common.compiling import compilation_announced
-from trackslip_common.errors import collected
+from trackslip_common.compiling import announce_compilation
+from trackslip_common.errors import collect_output
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import replay_options
@@ -81,8 +81,8 @@ def replay(
         as_name("reference", reference),
     )
     with (
-        compilation_announced(),
-        collected() as notes,
+        announce_compilation(),
+        collect_output() as notes,
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
         given = as_name("vehicle", vehicle), as_texts("params", params), settings

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from mcap.stream_reader import StreamReader
 
 from trackslip_bags.metadata import METADATA
-from trackslip_common.whole_file import UNFINISHED
+from trackslip_common.whole_file import UNFINISHED_NAME
 
 LIBRARY = "trackslip record"  # name of the writer in each file of a recording
 _RESTING = 60.0  # s since the last write, after which no running recorder uses a file
@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
 def is_recording(folder: Path) -> bool:
     """Whether a directory is a bag written by ``trackslip record``, without other files."""
     own = re.compile(
-        rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED.pattern}"
+        rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED_NAME.pattern}"
     )
     try:
         files = list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []

@@ -29,7 +29,7 @@ from trackslip_bags.sources import (
     open_file,
 )
 from trackslip_bags.types import decode, store_for
-from trackslip_common.errors import InputError, did_you_mean, listed
+from trackslip_common.errors import InputError, did_you_mean, joined_names
 
 _ROS1 = b"#ROSBAG"
 ACCEPTED = "a rosbag2 directory (metadata.yaml with .mcap or .db3), or an .mcap or .db3 file"
@@ -224,7 +224,9 @@ def require_topics(bag: Bag, required: Iterable[str]) -> None:
     present = {absolute(topic) for topic, info in bag.topics.items() if info.count}
     missing = sorted(absolute(topic) for topic in required if absolute(topic) not in present)
     if missing:
-        there = did_you_mean(missing[0], present) or f"; it holds: {listed(sorted(present)) or 'nothing'}"
+        there = (
+            did_you_mean(missing[0], present) or f"; it holds: {joined_names(sorted(present)) or 'nothing'}"
+        )
         raise InputError(f"bag '{bag.path}' has no messages on {', '.join(missing)}{there}")
 
 

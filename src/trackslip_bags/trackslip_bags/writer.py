@@ -25,7 +25,7 @@ from mcap.writer import CompressionType, Writer
 from trackslip_bags.definitions import installed_schema, ros_distro
 from trackslip_bags.metadata import METADATA, Extent, Schema, Topic, metadata_text
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import replace_whole
+from trackslip_common.whole_file import replace_atomically
 
 CHUNK_SPAN_NS = 500_000_000
 
@@ -195,7 +195,7 @@ class BagWriter:
         self._file.close()
         left = {n: replace(t, count=t.count - self._removed[n]) for n, t in self.topics.items()}
         text = metadata_text(left, self._extents, self.distro)
-        replace_whole(self.path / METADATA, text)
+        replace_atomically(self.path / METADATA, text)
 
     def abandon(self) -> None:
         """Close the file as it is, like a killed recorder, after a disk error."""

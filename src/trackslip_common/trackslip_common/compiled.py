@@ -35,7 +35,7 @@ def compiled(function: F) -> F:
     kernel = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     if kernel is not function:  # compilation is not switched off
         kernel._cache = KernelCache(function)
-        _forget_constants(kernel)
+        _compile_per_type(kernel)
     return cast(F, kernel)
 
 
@@ -44,13 +44,13 @@ def inlined(function: F) -> F:
     return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))
 
 
-def _forget_constants(kernel: Any) -> None:
+def _compile_per_type(kernel: Any) -> None:
     """Compile once per argument type, not again for each constant that a caller passes."""
     template = kernel.get_call_template
 
-    def of_types(args: Sequence[Any], names: Mapping[str, Any]) -> Any:
+    def template_of_types(args: Sequence[Any], names: Mapping[str, Any]) -> Any:
         return template(
             tuple(map(unliteral, args)), {name: unliteral(type_) for name, type_ in names.items()}
         )
 
-    kernel.get_call_template = of_types
+    kernel.get_call_template = template_of_types

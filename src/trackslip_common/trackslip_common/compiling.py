@@ -13,17 +13,17 @@ TEXT = "compiling, about a minute: once after an installation"
 DESK_TEXT = "compiling for this processor, once after an installation: about two minutes"
 NODE_S, DESK_S = 60.0, 120.0  # processor time to compile the kernels of a node, of a replay
 _PERIOD, _STEP = 1.0, 5.0  # s
-_LEAST_USED_S = 10.0  # s, added to both times: the load by others counts little at first
-_CLEAR = "\r\x1b[2K"  # clears the line of a terminal
+_TIME_OFFSET_S = 10.0  # s, added to both times: the load by others counts little at first
+_CLEAR_LINE = "\r\x1b[2K"  # clears the line of a terminal
 
 
 def show_in_place(text: str) -> None:
     """Show a text in place of the terminal's present line."""
-    print(f"{_CLEAR}{text}", end="", file=sys.stderr, flush=True)
+    print(f"{_CLEAR_LINE}{text}", end="", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def compilation_announced(show: Callable[[str], None] = show_in_place) -> Iterator[None]:
+def announce_compilation(show: Callable[[str], None] = show_in_place) -> Iterator[None]:
     """Announce compilations inside the block: a countdown on a terminal, else one line on stderr.
 
     ``show`` shows the countdown in place, and removes it for an empty text. The one line is printed at once,
@@ -31,12 +31,12 @@ def compilation_announced(show: Callable[[str], None] = show_in_place) -> Iterat
     """
     is_terminal = sys.stderr.isatty()
     log, report = (_ignore, show) if is_terminal else (_print_desk_text, _ignore)
-    with compilation_reported(log, report, DESK_S):
+    with report_compilation(log, report, DESK_S):
         yield
 
 
 @contextmanager
-def compilation_reported(
+def report_compilation(
     log: Callable[[str], None], report: Callable[[str], None], expected_s: float = NODE_S
 ) -> Iterator[None]:
     """If code in the block compiles, ``log`` gets one line, and ``report`` a countdown once a second.
@@ -105,7 +105,7 @@ class _Countdown:
 
     def _text(self) -> str:
         elapsed, used = time.monotonic() - self._begun[0], time.process_time() - self._begun[1]
-        left = (self._expected_s - used) * max((elapsed + _LEAST_USED_S) / (used + _LEAST_USED_S), 1.0)
+        left = (self._expected_s - used) * max((elapsed + _TIME_OFFSET_S) / (used + _TIME_OFFSET_S), 1.0)
         if left < _STEP:
             return "compiling, almost done"
         return f"compiling, about {_STEP * round(left / _STEP):.0f} s left"

@@ -23,7 +23,7 @@ def clear_line() -> None:
         print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-def end_of_output(program: str, error: OSError) -> ExitCode:
+def report_output_failure(program: str, error: OSError) -> ExitCode:
     """The exit code after a failure of a file or stdout; prints one line, unless stdout's reader has left.
 
     The buffer of stdout is discarded, as Python would fail on it again at its end.

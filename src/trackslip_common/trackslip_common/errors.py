@@ -10,8 +10,8 @@ from enum import IntEnum
 from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
-_LIKE = 0.66  # of 1: least similarity of a suggested word
-_MOST_NAMES = 12  # listed at most
+_MIN_SIMILARITY = 0.66  # of 1: least similarity of a suggested word
+_MAX_NAMES = 12  # listed at most
 _collected: ContextVar[list[str] | None] = ContextVar("_collected", default=None)
 
 
@@ -37,7 +37,7 @@ def show(*texts: object, file: TextIO | None = None, is_note: bool = False) -> N
 
 
 @contextmanager
-def collected() -> Iterator[list[str]]:
+def collect_output() -> Iterator[list[str]]:
     """Print nothing inside the block; the list receives notes and lines for stderr."""
     lines: list[str] = []
     token = _collected.set(lines)
@@ -73,7 +73,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Suffix of "'word' is unknown": the most similar known word; empty if none is similar."""
     from difflib import get_close_matches  # loaded only after a mistyped word
 
-    found = get_close_matches(word, list(known), n=1, cutoff=_LIKE)
+    found = get_close_matches(word, list(known), n=1, cutoff=_MIN_SIMILARITY)
     return f", did you mean '{found[0]}'?" if found else ""
 
 
@@ -83,11 +83,11 @@ def suggestion(word: str, known: Iterable[str], more: str = "") -> str:
     ``more``: what is accepted beside the known words, such as ", or a YAML file".
     """
     names = list(known)
-    return did_you_mean(word, names) or f"; accepted: {listed(names)}{more}"
+    return did_you_mean(word, names) or f"; accepted: {joined_names(names)}{more}"
 
 
-def listed(names: Iterable[str]) -> str:
+def joined_names(names: Iterable[str]) -> str:
     """Names, at most a dozen, with their number if there are more."""
     known = list(names)
-    rest = f" … ({len(known)} in all)" if len(known) > _MOST_NAMES else ""
-    return ", ".join(known[:_MOST_NAMES]) + rest
+    rest = f" … ({len(known)} in all)" if len(known) > _MAX_NAMES else ""
+    return ", ".join(known[:_MAX_NAMES]) + rest

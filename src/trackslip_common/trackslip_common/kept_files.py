@@ -8,10 +8,10 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError
 
-MOST_ASIDE = 9  # unused files beside one that is kept
+MAX_UNUSED_FILES = 9  # unused files beside one that is kept
 
 
-def own_file(name: str, text: str) -> Path | None:
+def parameter_path(name: str, text: str) -> Path | None:
     """The path in a node's parameter ``name``, with ~ expanded; None if it is empty.
 
     Raises:
@@ -32,8 +32,10 @@ def move_aside(path: Path) -> None:
     """
     if not os.path.lexists(path):
         return
-    names = [f"{path.name}.unused", *(f"{path.name}.unused-{n}" for n in range(2, MOST_ASIDE + 1))]
+    names = [f"{path.name}.unused", *(f"{path.name}.unused-{n}" for n in range(2, MAX_UNUSED_FILES + 1))]
     free = next((place for name in names if not os.path.lexists(place := path.with_name(name))), None)
     if free is None:
-        raise OSError(errno.EEXIST, f"{MOST_ASIDE} files {names[0]}… are there already; move or delete some")
+        raise OSError(
+            errno.EEXIST, f"{MAX_UNUSED_FILES} files {names[0]}… are there already; move or delete some"
+        )
     path.rename(free)

@@ -19,9 +19,9 @@ from typing import Any
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 SHIPPED = Path(__file__).with_name("kernels")  # in the wheel, from ``scripts/make_wheel.py``
-GENERIC = ("generic", "")  # processor and features of the shipped code
+GENERIC_TARGET = ("generic", "")  # processor and features of the shipped code
 
-_OURS = "trackslip_"
+_PACKAGE_PREFIX = "trackslip_"
 _real_path = cache(os.path.realpath)
 _IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
@@ -30,9 +30,9 @@ class KernelCache(FunctionCache):
     """Cache of the machine code of one function: first kept code, then shipped code."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._impl_class = _kept_in(directory(function.__code__.co_filename))
+        self._impl_class = _cache_class(cache_directory(function.__code__.co_filename))
         super().__init__(function)
-        self._shipped = _Shipped(function) if SHIPPED.is_dir() else None
+        self._shipped = _ShippedCache(function) if SHIPPED.is_dir() else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function of the signature; None if it must be compiled."""
@@ -42,20 +42,20 @@ class KernelCache(FunctionCache):
         return found
 
 
-class _Shipped(FunctionCache):
+class _ShippedCache(FunctionCache):
     """Code in the wheel; it runs on every processor of the family."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._impl_class = _kept_in(SHIPPED)
+        self._impl_class = _cache_class(SHIPPED)
         super().__init__(function)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         signature, (triple, *_), code = super()._index_key(sig, codegen)
-        return signature, (triple, *GENERIC), code
+        return signature, (triple, *GENERIC_TARGET), code
 
 
 @cache
-def _kept_in(root: Path) -> type[CompileResultCacheImpl]:
+def _cache_class(root: Path) -> type[CompileResultCacheImpl]:
     """The cache implementation with its files below ``root``."""
 
     class Locator(_CacheLocator):
@@ -63,7 +63,7 @@ def _kept_in(root: Path) -> type[CompileResultCacheImpl]:
 
         def __init__(self, function: Callable[..., Any], file: str) -> None:
             self._line = function.__code__.co_firstlineno
-            self._directory = root / digest(file, function.__module__)
+            self._directory = root / source_digest(file, function.__module__)
 
         @classmethod
         def from_function(cls, function: Callable[..., Any], file: str) -> "Locator":
@@ -87,7 +87,7 @@ def _kept_in(root: Path) -> type[CompileResultCacheImpl]:
     return Implementation
 
 
-def directory(file: str) -> Path:
+def cache_directory(file: str) -> Path:
     """Where machine code is kept: beside the source, or in the user's cache if that is not writable."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(chosen)
@@ -98,7 +98,7 @@ def directory(file: str) -> Path:
 
 
 @cache
-def digest(file: str, module: str) -> str:
+def source_digest(file: str, module: str) -> str:
     """Digest of a module's source and of all our sources that it imports, at any depth.
 
     Numba checks only the file of the function itself, so a kernel would keep stale code of functions in other
@@ -109,27 +109,27 @@ def digest(file: str, module: str) -> str:
     while waiting:
         source = waiting.pop()
         found.add(source)
-        waiting.update(path for path in _imported(source) if path not in found)
+        waiting.update(path for path in _imported_files(source) if path not in found)
     state = hashlib.sha256(module.encode())
-    for text in sorted(map(_text, found)):
+    for text in sorted(map(_source_bytes, found)):
         state.update(text)
     return state.hexdigest()[:16]
 
 
 @cache
-def _text(file: str) -> bytes:
+def _source_bytes(file: str) -> bytes:
     return Path(file).read_bytes()
 
 
 @cache
-def _imported(file: str) -> tuple[str, ...]:
+def _imported_files(file: str) -> tuple[str, ...]:
     """Files of the modules that a file imports, from our packages and from its own folder."""
     found = []
-    for match in _IMPORT.finditer(_text(file).decode()):
+    for match in _IMPORT.finditer(_source_bytes(file).decode()):
         parent, names = match.group(1), re.findall(r"\w+", match.group(2) or "")
         for name in (parent, *(f"{parent}.{name}" for name in names)):
             path = getattr(sys.modules.get(name), "__file__", None)
             path = path and _real_path(path)
-            if path and (name.startswith(_OURS) or Path(path).parent == Path(file).parent):
+            if path and (name.startswith(_PACKAGE_PREFIX) or Path(path).parent == Path(file).parent):
                 found.append(path)
     return tuple(found)

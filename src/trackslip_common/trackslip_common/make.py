@@ -7,14 +7,14 @@ from typing import Any, Protocol
 _NS_PER_S = 1_000_000_000
 
 
-class Make(Protocol):
+class MessageFactory(Protocol):
     """Builds a message, rclpy's or a bag's own: ``make("std_msgs/msg/Header", stamp=…, frame_id=…)``."""
 
     def __call__(self, type_name: str, **fields: Any) -> Any:
         """The message."""
 
 
-def header(make: Make, stamp_ns: int, frame_id: str) -> Any:
+def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
     """std_msgs/Header."""
     sec, nanosec = divmod(stamp_ns, _NS_PER_S)
     stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from trackslip_common.errors import InputError, listed
+from trackslip_common.errors import InputError, joined_names
 from trackslip_common.parameter_spec import Spec, check_value, convert_value
 
 T = TypeVar("T", bound="Parameters")
@@ -215,8 +215,8 @@ def _hint(unknown: str, known: list[str]) -> str:
             like = get_close_matches(part, list(there), n=1, cutoff=0.8)
             if like:
                 return f", did you mean '{before}{like[0]}'?"
-            return f"; accepted: {listed(before + name for name in there) or 'a value, no group'}"
-    return f"; accepted: {listed(name for name in known if name.startswith(f'{unknown}.'))}"
+            return f"; accepted: {joined_names(before + name for name in there) or 'a value, no group'}"
+    return f"; accepted: {joined_names(name for name in known if name.startswith(f'{unknown}.'))}"
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -12,10 +12,10 @@ from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode
 
-_AGAIN = 0.1  # s until a lost interrupt is raised again
-_END = 5.0  # s for the clean-up of libraries, which takes ms
-_MANY = 1_000_000
-_received: list[int] = []  # each SIGINT
+_REPEAT_DELAY = 0.1  # s until a lost interrupt is raised again
+_EXIT_TIMEOUT = 5.0  # s for the clean-up of libraries, which takes ms
+_GARBAGE_THRESHOLD = 1_000_000
+_received_signals: list[int] = []  # each SIGINT
 
 
 class Interrupted(KeyboardInterrupt):
@@ -39,12 +39,12 @@ def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
         program = module.rpartition(".")[2]
         print(f"{program}: {error} (docs/install.md)", file=sys.stderr)
         sys.exit(ExitCode.BAD_INPUT)
-    atexit.register(_limit_the_end)  # registered first, called last
+    atexit.register(_limit_exit_time)  # registered first, called last
     repeat_lost_interrupts()
     sys.exit(main())
 
 
-def collect_garbage_seldom(objects: int = _MANY) -> None:
+def collect_garbage_seldom(objects: int = _GARBAGE_THRESHOLD) -> None:
     """Collect garbage only after so many allocations, less deallocations.
 
     With Python's own 700, collections take an eighth of the compile time of the kernels; with 50 000, still a
@@ -60,23 +60,23 @@ def repeat_lost_interrupts() -> None:
     incomplete objects are hidden. At the end of the process nothing would catch it, so it is not raised.
     """
     shown = sys.unraisablehook
-    ends = False
+    is_ending = False
 
     def interrupt(number: int, *_: object) -> None:
-        _received.append(number)
+        _received_signals.append(number)
         raise Interrupted
 
     def unraisable(lost: Any) -> None:
         if issubclass(lost.exc_type, KeyboardInterrupt):
-            if not ends:
-                signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-        elif not _received:
+            if not is_ending:
+                signal.setitimer(signal.ITIMER_REAL, _REPEAT_DELAY)
+        elif not _received_signals:
             shown(lost)
 
     @atexit.register
     def end() -> None:
-        nonlocal ends
-        ends = True
+        nonlocal is_ending
+        is_ending = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     signal.signal(signal.SIGINT, interrupt)
@@ -84,16 +84,16 @@ def repeat_lost_interrupts() -> None:
     sys.unraisablehook = unraisable
 
 
-def _limit_the_end() -> None:
+def _limit_exit_time() -> None:
     """Kill the process by an alarm if a library's clean-up hangs after Python's own end.
 
     Fast DDS 2.14 waits there for its own thread, at full load and forever, if another node leaves the graph
     at the wrong moment.
     """
-    signal.setitimer(signal.ITIMER_REAL, _END)
+    signal.setitimer(signal.ITIMER_REAL, _EXIT_TIMEOUT)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def was_interrupted() -> bool:
     """Whether Ctrl-C was received: it causes later failures, as in a compiler that lost it."""
-    return bool(_received)
+    return bool(_received_signals)

@@ -32,7 +32,7 @@ class Tally:
             if detail:
                 self._details[source, text] = detail
 
-    def words(self, key: tuple[str, str]) -> str:
+    def detail_or_reason(self, key: tuple[str, str]) -> str:
         """The latest detail of a (source, reason); without one, the reason."""
         with self._lock:
             return self._details.get(key, key[1])
@@ -43,7 +43,7 @@ class Tally:
         with self._lock:
             return self._total.copy()
 
-    def since_last_look(self) -> dict[tuple[str, str], int]:
+    def new_counts(self) -> dict[tuple[str, str], int]:
         """Counts since the previous call, for diagnostics."""
         total = self.total
         news = dict(total - self._seen)

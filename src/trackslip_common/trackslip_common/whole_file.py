@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-UNFINISHED = re.compile(r"\.trackslip-[0-9a-f]{16}\.new")  # names that a killed process may leave
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+UNFINISHED_NAME = re.compile(r"\.trackslip-[0-9a-f]{16}\.new")  # names that a killed process may leave
+_CREATE_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_atomically(path: Path, content: str | bytes) -> None:
     """Write the file of a user's option; links, devices and files in a locked folder are written directly.
 
     Characters of a text that are no valid Unicode, as names of files may contain, are escaped.
@@ -30,21 +30,23 @@ def write_whole(path: Path, content: str | bytes) -> None:
     if is_special or not os.access(path.parent, os.W_OK):
         path.write_bytes(data)
         return
-    replace_whole(path, data)
+    replace_atomically(path, data)
 
 
-def replace_whole(path: Path, content: str | bytes) -> None:
+def replace_atomically(path: Path, content: str | bytes) -> None:
     """Replace a file; a link is replaced, not followed. Text is encoded as UTF-8.
 
     Raises:
         OSError: the file cannot be written; the previous one remains.
     """
-    with replacing(path, content):
+    with atomic_replacement(path, content):
         pass
 
 
 @contextmanager
-def replacing(path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool = False) -> Iterator[None]:
+def atomic_replacement(
+    path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool = False
+) -> Iterator[None]:
     """Replace a file; the block runs when all is written, before the file is moved into place.
 
     ``mode``: permissions, limited by the process' umask.
@@ -55,7 +57,7 @@ def replacing(path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool
     """
     data = content.encode() if isinstance(content, str) else content
     beside = path.with_name(f".trackslip-{secrets.token_hex(8)}.new")
-    descriptor = os.open(beside, _NEW, mode)
+    descriptor = os.open(beside, _CREATE_FLAGS, mode)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)

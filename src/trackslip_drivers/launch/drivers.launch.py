@@ -5,7 +5,7 @@
 from launch.actions import OpaqueFunction
 
 from launch import LaunchDescription
-from trackslip_common.nodes.launching import Launched, declared, nodes
+from trackslip_common.nodes.launching import LaunchedNode, declare_arguments, make_nodes
 
 PACKAGE = "trackslip_drivers"
 EXECUTABLES = ("can_driver", "watson_imu", "sick_pls", "nmea_gnss")
@@ -13,5 +13,7 @@ EXECUTABLES = ("can_driver", "watson_imu", "sick_pls", "nmea_gnss")
 
 def generate_launch_description() -> LaunchDescription:
     """The launch description; ``params_file`` overrides the nodes' own defaults."""
-    requested = [Launched(PACKAGE, name) for name in EXECUTABLES]
-    return LaunchDescription([*declared(EXECUTABLES), OpaqueFunction(function=nodes, args=[requested])])
+    requested = [LaunchedNode(PACKAGE, name) for name in EXECUTABLES]
+    return LaunchDescription(
+        [*declare_arguments(EXECUTABLES), OpaqueFunction(function=make_nodes, args=[requested])]
+    )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.make import Make, header, set_stamp
+from trackslip_common.make import MessageFactory, header, set_stamp
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_drivers.records import (
     FixSample,
@@ -31,7 +31,7 @@ _UNOBSERVED_VARIANCE = 1e6  # rad², variance of roll and pitch
 _ABSENT_COVARIANCE = -1.0  # first element of the covariance of an unmeasured quantity (REP-145)
 
 
-def blank_joint_state(make: Make, frame_id: str) -> Any:
+def blank_joint_state(make: MessageFactory, frame_id: str) -> Any:
     """sensor_msgs/JointState of both sprockets for ``fill_joint_state``."""
     return _blank_joints(make, frame_id, LEFT_SPROCKET, RIGHT_SPROCKET)
 
@@ -44,7 +44,7 @@ def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
     return message
 
 
-def blank_swing(make: Make, frame_id: str) -> Any:
+def blank_swing(make: MessageFactory, frame_id: str) -> Any:
     """sensor_msgs/JointState for ``fill_swing``."""
     return _blank_joints(make, frame_id, SWING_JOINT)
 
@@ -56,7 +56,7 @@ def fill_swing(message: Any, sample: SwingSample) -> Any:
     return message
 
 
-def blank_track_hydraulics(make: Make, frame_id: str) -> Any:
+def blank_track_hydraulics(make: MessageFactory, frame_id: str) -> Any:
     """trackslip_msgs/TrackHydraulics for ``fill_track_hydraulics``."""
     zeros = dict.fromkeys(HydraulicsSample._fields[1:], 0.0)
     return make("trackslip_msgs/msg/TrackHydraulics", header=header(make, 0, frame_id), **zeros)
@@ -71,7 +71,7 @@ def fill_track_hydraulics(message: Any, sample: HydraulicsSample) -> Any:
     return message
 
 
-def blank_imu(make: Make, frame_id: str, acceleration_stddev: float, rate_stddev: float) -> Any:
+def blank_imu(make: MessageFactory, frame_id: str, acceleration_stddev: float, rate_stddev: float) -> Any:
     """sensor_msgs/Imu for ``fill_imu``."""
     absent = np.zeros(9)
     absent[0] = _ABSENT_COVARIANCE
@@ -95,7 +95,7 @@ def fill_imu(message: Any, sample: ImuSample) -> Any:
     return message
 
 
-def blank_magnetic_field(make: Make, frame_id: str, stddev: float) -> Any:
+def blank_magnetic_field(make: MessageFactory, frame_id: str, stddev: float) -> Any:
     """sensor_msgs/MagneticField for ``fill_magnetic_field``."""
     return make(
         "sensor_msgs/msg/MagneticField",
@@ -114,7 +114,7 @@ def fill_magnetic_field(message: Any, sample: ImuSample) -> Any | None:
     return message
 
 
-def laser_scan(make: Make, sample: ScanSample, frame_id: str) -> Any:
+def laser_scan(make: MessageFactory, sample: ScanSample, frame_id: str) -> Any:
     """sensor_msgs/LaserScan; ranges as in the sample (REP-117)."""
     return make(
         "sensor_msgs/msg/LaserScan",
@@ -130,7 +130,7 @@ def laser_scan(make: Make, sample: ScanSample, frame_id: str) -> Any:
     )
 
 
-def nav_sat_fix(make: Make, sample: FixSample, frame_id: str) -> Any:
+def nav_sat_fix(make: MessageFactory, sample: FixSample, frame_id: str) -> Any:
     """sensor_msgs/NavSatFix; its service is 0, as sentences of several systems do not state it."""
     return make(
         "sensor_msgs/msg/NavSatFix",
@@ -144,7 +144,7 @@ def nav_sat_fix(make: Make, sample: FixSample, frame_id: str) -> Any:
     )
 
 
-def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
+def heading(make: MessageFactory, sample: HeadingSample, frame_id: str) -> Any:
     """sensor_msgs/Imu with an orientation about the vertical alone: this message has a covariance for it.
 
     Rates and accelerations are absent (REP-145); an unknown accuracy is a covariance of zeros.
@@ -170,7 +170,7 @@ def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
     )
 
 
-def velocity(make: Make, sample: VelocitySample, frame_id: str) -> Any:
+def velocity(make: MessageFactory, sample: VelocitySample, frame_id: str) -> Any:
     """geometry_msgs/TwistWithCovarianceStamped: x east, y north, as in GNSS receivers.
 
     An unknown accuracy is a variance of zero.
@@ -186,13 +186,13 @@ def velocity(make: Make, sample: VelocitySample, frame_id: str) -> Any:
     )
 
 
-def _blank_joints(make: Make, frame_id: str, *names: str) -> Any:
+def _blank_joints(make: MessageFactory, frame_id: str, *names: str) -> Any:
     zeros = array.array("d", bytes(8 * len(names)))
     head = header(make, 0, frame_id)
     return make("sensor_msgs/msg/JointState", header=head, name=[*names], position=zeros, velocity=zeros[:])
 
 
-def _zero_vector(make: Make) -> Any:
+def _zero_vector(make: MessageFactory) -> Any:
     return make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
 
 

@@ -10,10 +10,10 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from trackslip_common.nodes.launching import Launched, declared, nodes, switch
+from trackslip_common.nodes.launching import LaunchedNode, declare_arguments, is_switched_on, make_nodes
 
 PACKAGE = "trackslip_estimation"
-LIVE = Launched("trackslip_tools", "live")
+LIVE = LaunchedNode("trackslip_tools", "live")
 _DEFAULT = "default"
 EXECUTABLES = ("box_localizer", "slip_estimator", "soil_estimator", "gnss_localizer", "record")
 
@@ -28,7 +28,7 @@ def generate_launch_description() -> LaunchDescription:
         ),
     )
     record = ("true", "record all topics; false where a recorder of its own runs")
-    arguments = declared([*EXECUTABLES, LIVE.executable], state_file=state_file, record=record)
+    arguments = declare_arguments([*EXECUTABLES, LIVE.executable], state_file=state_file, record=record)
     return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
 
 
@@ -36,9 +36,9 @@ def _nodes(context: LaunchContext) -> list[Node]:
     state_file = _state_file(context)
     track_file = str(Path(state_file).with_name("box_localizer.json")) if state_file else ""
     own = {"slip_estimator": {"state_file": state_file}, "box_localizer": {"track_file": track_file}}
-    requested = EXECUTABLES if switch(context, "record") else EXECUTABLES[:-1]
-    launched = [Launched(PACKAGE, name, own.get(name, {})) for name in requested]
-    return nodes(context, [*launched, LIVE])
+    requested = EXECUTABLES if is_switched_on(context, "record") else EXECUTABLES[:-1]
+    launched = [LaunchedNode(PACKAGE, name, own.get(name, {})) for name in requested]
+    return make_nodes(context, [*launched, LIVE])
 
 
 def _state_file(context: LaunchContext) -> str:

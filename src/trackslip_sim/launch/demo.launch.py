@@ -11,7 +11,14 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from trackslip_common.nodes.launching import Launched, declared, nodes, number, switch, switched_on
+from trackslip_common.nodes.launching import (
+    LaunchedNode,
+    declare_arguments,
+    enabled_nodes,
+    is_switched_on,
+    make_nodes,
+    number_argument,
+)
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
 
@@ -26,7 +33,7 @@ _OWN = {
 
 def generate_launch_description() -> LaunchDescription:
     """Launch all nodes; the drive starts some seconds after power-on, the bag is in the working directory."""
-    return LaunchDescription([*declared(_executables(), **_OWN), OpaqueFunction(function=_nodes)])
+    return LaunchDescription([*declare_arguments(_executables(), **_OWN), OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
@@ -34,24 +41,24 @@ def _nodes(context: LaunchContext) -> list[Node]:
     options = DemoOptions(
         devices=Path(given["devices"]),
         bag=Path.cwd() / f"trackslip_{datetime.now():%Y%m%d_%H%M%S}",
-        can_port=int(number(context, "can_port", int)),
-        duration=number(context, "duration", float),
+        can_port=int(number_argument(context, "can_port", int)),
+        duration=number_argument(context, "duration", float),
         soil=given["soil"],
         scenario=given["scenario"],
         vehicle=given["vehicle"] or DEFAULT_VEHICLE,
         autostart=True,
-        laser=switch(context, "laser"),
-        gnss=switch(context, "gnss"),
+        laser=is_switched_on(context, "laser"),
+        gnss=is_switched_on(context, "gnss"),
     )
-    chosen = switched_on(context, _launched([*demo_nodes(options), LIVE]))
+    chosen = enabled_nodes(context, _launched([*demo_nodes(options), LIVE]))
     estimators = [one.executable for one in chosen if one.package == "trackslip_estimation"]
     emulator, *others = chosen
     waiting = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
-    return nodes(context, [waiting, *others])
+    return make_nodes(context, [waiting, *others])
 
 
-def _launched(specs: Iterable[NodeSpec]) -> list[Launched]:
-    return [Launched(node.package, node.executable, node.parameters) for node in specs]
+def _launched(specs: Iterable[NodeSpec]) -> list[LaunchedNode]:
+    return [LaunchedNode(node.package, node.executable, node.parameters) for node in specs]
 
 
 def _executables() -> list[str]:

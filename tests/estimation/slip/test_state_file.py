@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
-from trackslip_common.kept_files import MOST_ASIDE
+from trackslip_common.kept_files import MAX_UNUSED_FILES
 from trackslip_estimation.slip import state_file
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import Learned, decay_to_prior, learned_context, to_tree
@@ -167,18 +167,18 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
 
 def test_up_to_nine_unusable_files_are_kept_aside(path: Path) -> None:
     """With nine of them no more files are written, and /diagnostics states the reason."""
-    for n in range(MOST_ASIDE + 1):
+    for n in range(MAX_UNUSED_FILES + 1):
         put(path, f"years of work, {n}")
         kept = StateFile(str(path))
         assert kept.read(OF) is None
         kept.write(LEARNED, OF)
         kept.finish()
     assert kept.failure == "9 files slip_estimator.yaml.unused… are there already; move or delete some"
-    assert path.read_text(encoding="utf-8") == f"years of work, {MOST_ASIDE}"
+    assert path.read_text(encoding="utf-8") == f"years of work, {MAX_UNUSED_FILES}"
     kept.forget(OF)
     assert kept.failures == 2
     texts = sorted(file.read_text(encoding="utf-8") for file in path.parent.iterdir())
-    assert texts == [f"years of work, {n}" for n in range(MOST_ASIDE + 1)]
+    assert texts == [f"years of work, {n}" for n in range(MAX_UNUSED_FILES + 1)]
     path.with_name(f"{path.name}.unused-3").unlink()
     kept.write(LEARNED, OF)
     kept.finish()

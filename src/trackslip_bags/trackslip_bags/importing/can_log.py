@@ -23,7 +23,7 @@ from trackslip_bags.importing.samples import Samples, Values
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.sources import error_line
 from trackslip_common.config_files import load_parameters
-from trackslip_common.errors import InputError, listed
+from trackslip_common.errors import InputError, joined_names
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
@@ -66,7 +66,7 @@ def read_can_logs(
         notes.append(f"{names}: {unread.count} line{'s' * (unread.count > 1)} cannot be read")
     for frame, of_frame in carriers.items():
         if len(of_frame) > 1:
-            several = f"frame '{frame}' comes on channels {listed(sorted(of_frame))}"
+            several = f"frame '{frame}' comes on channels {joined_names(sorted(of_frame))}"
             raise InputError(f"{given.where}: {names}: {several}; accepted: channel: one of them")
     if ambiguous := bus.decoder.ambiguous_source_message():
         raise InputError(f"{given.where}: {names}: {ambiguous}")
@@ -78,7 +78,9 @@ def read_can_logs(
     if not samples:
         reason = bus.decoder.no_role_message() or "; ".join([f"{count} frames give no sample", *refused])
         if given.channel is not None and given.channel not in channels:
-            reason = f"no frame of channel '{given.channel}', but of {listed(sorted(channels)) or 'none'}"
+            reason = (
+                f"no frame of channel '{given.channel}', but of {joined_names(sorted(channels)) or 'none'}"
+            )
         raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
     notes += refused
     found = [[one for one in samples if type(one) is kind] for kind in _TOPICS]

@@ -19,7 +19,7 @@ from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, Health
 from trackslip_common.nodes.messages import message_class
-from trackslip_common.nodes.qos import publisher_qos, reliable
+from trackslip_common.nodes.qos import publisher_qos, reliable_qos
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters
 from trackslip_common.topics import TOPICS
@@ -63,10 +63,12 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
     def configure(self) -> None:
         """Create all publishers, so that subscribers discover them."""
         self._outlets = {
-            topic: self.tolerate_failures(self.create_publisher(message_class(kind), topic, _quality(topic)))
+            topic: self.count_send_failures(
+                self.create_publisher(message_class(kind), topic, _quality(topic))
+            )
             for topic, kind in self._topics.items()
         }
-        self._time = self.tolerate_failures(self.create_publisher(ClockMessage, "/clock", 10))
+        self._time = self.count_send_failures(self.create_publisher(ClockMessage, "/clock", 10))
         self._matched, self._quiet_since = 0, time.monotonic()
         self._is_open = False  # whether playback has begun
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -134,7 +136,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
 
 def _quality(topic: str) -> Any:
     name = topic.removeprefix("/")
-    return publisher_qos(name) if name in TOPICS else reliable()
+    return publisher_qos(name) if name in TOPICS else reliable_qos()
 
 
 def can_publish(type_name: str) -> bool:

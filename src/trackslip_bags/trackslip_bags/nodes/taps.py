@@ -15,7 +15,7 @@ from trackslip_bags.qos import offered_qos
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.messages import message_class, type_name_of
-from trackslip_common.nodes.qos import best_effort, latched, reliable
+from trackslip_common.nodes.qos import best_effort_qos, latched_qos, reliable_qos
 from trackslip_common.topics import TOPICS, Flow
 
 _GATHER = 0.1  # s from a message until all messages received meanwhile are taken
@@ -66,7 +66,7 @@ class Taps:
                 self._reliable.remove(topic)
                 kind = self._taps[topic].msg_type
                 self._node.destroy_subscription(self._taps[topic])
-                self._tap(kind, topic, best_effort())
+                self._tap(kind, topic, best_effort_qos())
         self.alone = {topic for topic, count in self.publishers().items() if count == 1}
 
     def _offers(self, topic: str) -> list[Any]:
@@ -85,7 +85,7 @@ class Taps:
                 self._node.get_logger().warning(f"cannot record {topic} ({type_name}): {error}")
             return
         self._reliable.add(topic)
-        self._tap(kind, topic, latched(_LATCHED_DEPTH) if is_latched else reliable())
+        self._tap(kind, topic, latched_qos(_LATCHED_DEPTH) if is_latched else reliable_qos())
 
     def _tap(self, kind: type, topic: str, qos: QoSProfile) -> None:
         take = partial(self._take, topic, type_name_of(kind))

@@ -10,12 +10,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
-from trackslip_common.compiling import compilation_reported
+from trackslip_common.compiling import report_compilation
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
 from trackslip_common.nodes.guarded import GuardedNode
-from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics, to_console
+from trackslip_common.nodes.health import OK, WARN, Health, StateLog, console_logger, diagnostics
 from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.messages import packed_topic
 from trackslip_common.nodes.outputs import PackedOutput
@@ -49,14 +49,14 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.what = name  # kind of node, independent of its ROS name
         self.common, self.settings = given
         for record in given:
-            node_parameters.declare(self, record)
+            node_parameters.declare_parameters(self, record)
         self._settings_in_use: P = self.settings
         self.has_run = False  # whether the node was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
-        self._states = StateLog(to_console(self.get_logger()))
+        self._states = StateLog(console_logger(self.get_logger()))
         self.inputs = Inputs(self)
-        self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
+        self._status = self.count_send_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._permanent_timers.append(self.create_timer(1.0, self.publish_health, clock=steady))
 
@@ -82,7 +82,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """Hardware of the node for /diagnostics: its device if it has one, else its name."""
         return self.full_name
 
-    def started_from(self) -> dict[str, Any]:
+    def start_inputs(self) -> dict[str, Any]:
         """Inputs of the node's start beside its parameters, by name, for the parameters' topic."""
         return {}
 
@@ -104,7 +104,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self, message_type: type, topic: str, callback: Callable[[Any], None], *, raw: bool
     ) -> None:
         def when_active(message: Any) -> None:
-            if self.active and self.inputs.lets_pass(topic):
+            if self.active and self.inputs.accept_message(topic):
                 callback(message)
 
         self.create_subscription(message_type, topic, when_active, subscriber_qos(topic), raw=raw)
@@ -116,7 +116,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         qos = publisher_qos(topic.removeprefix("/"))
         publisher = self.create_lifecycle_publisher(message_type, topic, qos)
         self._advertised.append(publisher)
-        return self.tolerate_failures(publisher)
+        return self.count_send_failures(publisher)
 
     def advertise_packed(self, topic: str, blank: Any) -> PackedOutput:
         """A publisher of frequent messages, which equal ``blank`` except for their numbers."""
@@ -131,7 +131,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
             entries = []
         entries += self.inputs.health()
         if self.active:
-            self._states.see(entries)
+            self._states.log_changes(entries)
         entries += [*self.callback_failures.health(), *self.send_failures.health()]  # these log themselves
         self._report(entries)
 
@@ -149,7 +149,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False
         if self.parameters_topic:
             self._parameters_used = self.advertise(String, self.parameters_topic)
-        with compilation_reported(self.get_logger().info, self._report_compilation):
+        with report_compilation(self.get_logger().info, self._report_compilation):
             self.configure()
 
     def _activate(self) -> None:
@@ -164,7 +164,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         values = {p.name: p.value for p in parameters if p.name in known}
         before = self.settings
         try:
-            self.settings = node_parameters.changed(before, values, self.get_name())
+            self.settings = node_parameters.changed_record(before, values, self.get_name())
             if self.active and self.settings != before:
                 self.publish_parameters()
                 self._reload()
@@ -183,5 +183,5 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def publish_parameters(self) -> None:
         """Publish the parameters of the estimates from now on; a bag records them."""
         if self.parameters_topic:
-            text = parameters_text(to_flat(self.settings), self.what, **self.started_from())
+            text = parameters_text(to_flat(self.settings), self.what, **self.start_inputs())
             self._parameters_used.publish(String(data=text))

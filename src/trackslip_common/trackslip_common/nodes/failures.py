@@ -23,17 +23,17 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 
-FEWEST = 10  # failures of a streak that ends the node
+MIN_STREAK = 10  # failures of a streak that ends the node
 STREAK_S = 10.0  # s, duration of such a streak
 PAUSE_S = 3.0  # s without a failure that end a streak
 RECENT_S = 10.0  # s for which a failure is reported as an error
 LOG_PERIOD_S = 30.0  # s between lines in the log about the same cause
-_DROPPED = "failed to send response"
+_LOST_RESPONSE_WARNING = "failed to send response"
 
 Log = Callable[[str], None]
 
 
-def cause(error: BaseException) -> str:
+def describe_exception(error: BaseException) -> str:
     """An exception on one line: its type, its text, and where it was raised."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
     ours = [f for f in frames if "trackslip_" in f.filename or "site-packages" not in f.filename]
@@ -41,7 +41,7 @@ def cause(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
 
 
-def date(ago_s: float) -> str:
+def utc_date(ago_s: float) -> str:
     """UTC date of an event so many seconds ago."""
     return f"{datetime.fromtimestamp(time.time() - ago_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
 
@@ -85,7 +85,7 @@ class CallbackFailures:
 
     def add(self, name: str, error: Exception) -> None:
         """Count one failure."""
-        now_s, text = self._clock(), f"{name}: {cause(error)}"
+        now_s, text = self._clock(), f"{name}: {describe_exception(error)}"
         with self._lock:
             if not self._streak or now_s - self._last_s > PAUSE_S:
                 self._streak, self._began_s = 0, now_s
@@ -99,10 +99,10 @@ class CallbackFailures:
             self._log(f"callback failed: {text}")
 
     @property
-    def are_hopeless(self) -> bool:
+    def has_long_streak(self) -> bool:
         """Whether a streak of failures is so long that the node should end."""
         with self._lock:
-            return self._streak >= FEWEST and self._last_s - self._began_s >= STREAK_S
+            return self._streak >= MIN_STREAK and self._last_s - self._began_s >= STREAK_S
 
     def health(self) -> list[Health]:
         """The failures, and the time since the last; empty if there were none."""
@@ -111,7 +111,7 @@ class CallbackFailures:
         if not counts:
             return []
         values: dict[str, Any] = {f"failed: {name}": n for name, n in sorted(counts.items())}
-        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}", "last failure at": date(ago_s)}
+        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}", "last failure at": utc_date(ago_s)}
         failed = f"{sum(counts.values())} callbacks failed; the last: {last}"
         level, message = (ERROR, failed) if ago_s < RECENT_S else (OK, "running")
         return [Health(level, message, values, "callbacks")]
@@ -126,7 +126,7 @@ class SendFailures:
         self._logged_s = -LOG_PERIOD_S
         self.counts: Counter[str] = Counter()  # by topic; all responses together
 
-    def tolerate(self, publisher: Any) -> Any:
+    def count_send_failures(self, publisher: Any) -> Any:
         """The publisher, with failures to send counted instead of raised."""
         send = publisher.publish
 
@@ -134,26 +134,26 @@ class SendFailures:
             try:
                 send(message)
             except rclpy_implementation.RCLError as error:
-                self._add(publisher.topic_name, error)
+                self._count_failure(publisher.topic_name, error)
 
         publisher.publish = publish
         return publisher
 
-    def watch_answers(self) -> None:
+    def count_lost_responses(self) -> None:
         """Start to count the responses that the middleware drops, as Fast DDS may on a busy machine.
 
         rclpy reports them only by a warning of Python.
         """
         show = warnings.showwarning
 
-        def see(message: Warning | str, *place: Any, **options: Any) -> None:
-            if str(message).startswith(_DROPPED):
-                self._add("answers", message)
+        def show_or_count(message: Warning | str, *place: Any, **options: Any) -> None:
+            if str(message).startswith(_LOST_RESPONSE_WARNING):
+                self._count_failure("answers", message)
             else:
                 show(message, *place, **options)
 
-        warnings.filterwarnings("always", _DROPPED, RuntimeWarning)
-        warnings.showwarning = see
+        warnings.filterwarnings("always", _LOST_RESPONSE_WARNING, RuntimeWarning)
+        warnings.showwarning = show_or_count
 
     def health(self) -> list[Health]:
         """Messages that could not be sent, by topic; empty if there were none."""
@@ -164,7 +164,7 @@ class SendFailures:
         level, message = (WARN, f"{news} messages could not be sent") if news else (OK, "running")
         return [Health(level, message, {f"not sent: {topic}": n for topic, n in counts.items()}, "outputs")]
 
-    def _add(self, name: str, reason: object) -> None:
+    def _count_failure(self, name: str, reason: object) -> None:
         self.counts[name] += 1
         if (now_s := time.monotonic()) - self._logged_s >= LOG_PERIOD_S:
             self._logged_s = now_s

@@ -17,9 +17,9 @@ class GuardedNode(SelfStartingNode):
         self.send_failures = SendFailures(lambda text: self.get_logger().warning(text))
         super().__init__(name)
 
-    def tolerate_failures(self, publisher: Any) -> Any:
+    def count_send_failures(self, publisher: Any) -> Any:
         """The publisher, with failures to send counted."""
-        return self.send_failures.tolerate(publisher)
+        return self.send_failures.count_send_failures(publisher)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **options: Any

@@ -35,7 +35,7 @@ class Health:
     part: str = ""  # of the node; empty for the node itself
 
 
-def to_console(logger: Any) -> Callable[[bytes, str], None]:
+def console_logger(logger: Any) -> Callable[[bytes, str], None]:
     """A function that logs a text by its level, on a line of its own; ``logger`` is a node's."""
 
     def log(level: bytes, text: str) -> None:
@@ -63,7 +63,7 @@ class StateLog:
         self._logged: dict[str, tuple[bytes, str]] = {}  # part → last state logged
         self._logged_s: dict[str, float] = {}
 
-    def see(self, entries: Iterable[Health]) -> None:
+    def log_changes(self, entries: Iterable[Health]) -> None:
         """Log the changes in the present entries."""
         now = {entry.part: entry for entry in entries}
         over = {part: Health(OK, "is over", part=part) for part in self._logged.keys() - now.keys()}

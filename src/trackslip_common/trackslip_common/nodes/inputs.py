@@ -4,7 +4,7 @@
 
 from typing import Any
 
-from trackslip_common.flood import FloodGuard
+from trackslip_common.flood import RateLimiter
 from trackslip_common.nodes.health import ERROR, Health
 
 
@@ -14,7 +14,7 @@ class Inputs:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._topics: set[str] = set()  # topics that should have one publisher
-        self._flood = FloodGuard()
+        self._flood = RateLimiter()
 
     def add(self, topic: str) -> None:
         """Add a topic that should have one publisher."""
@@ -24,15 +24,15 @@ class Inputs:
         """Remove all topics."""
         self._topics.clear()
 
-    def lets_pass(self, topic: str) -> bool:
+    def accept_message(self, topic: str) -> bool:
         """Whether the rate limit of the topic allows one more message."""
-        return self._flood.lets_pass(topic)
+        return self._flood.accept_message(topic)
 
     def health(self) -> list[Health]:
         """An error if an input floods or has several publishers, whose messages look like one sensor's."""
         counts = {topic: self._node.count_publishers(topic) for topic in sorted(self._topics)}
         several = {topic: count for topic, count in counts.items() if count > 1}
-        floods = self._flood.news()
+        floods = self._flood.new_drops()
         findings = [f"several publishers of {', '.join(several)}"] if several else []
         findings += [f"{count} messages of {topic} were too many" for topic, count in floods.items()]
         if not findings:

@@ -32,14 +32,14 @@ _ARGUMENTS = {  # each is declared by the launch files whose nodes use it
     "gnss": ("false", "satellite receiver"),
     "live": ("false", "serve the live page, at http://127.0.0.1:5006/ unless params_file says otherwise"),
 }
-_OF_EVERY_NODE = ("params_file", "namespace", "use_sim_time", "log_level", "respawn")
+_COMMON_ARGUMENTS = ("params_file", "namespace", "use_sim_time", "log_level", "respawn")
 _YES, _NO = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 _RANGE, _PEERS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_STATIC_PEERS", "")
 _PROFILES = {  # of Fast DDS 2 and 3, each with its own variable
     "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps.xml",
     "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds.xml",
 }
-_OF_SWITCH = {
+_SWITCH_OF_NODE = {
     "sick_pls": "laser",
     "box_localizer": "laser",
     "watson_imu": "imu",
@@ -48,12 +48,12 @@ _OF_SWITCH = {
     "gnss_localizer": "gnss",
     "live": "live",
 }
-_OF_SOURCES = ("laser", "imu", "gnss")  # possible sources of the slip estimator
-_WITH_PREFIX = ("slip_estimator", "soil_estimator", "can_driver", "emulator")
-_WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
+_SOURCE_SWITCHES = ("laser", "imu", "gnss")  # possible sources of the slip estimator
+_NODES_WITH_PREFIX = ("slip_estimator", "soil_estimator", "can_driver", "emulator")
+_NODES_WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
 
 
-class Launched(NamedTuple):
+class LaunchedNode(NamedTuple):
     """One node to launch, with parameters beside those of the arguments."""
 
     package: str
@@ -61,34 +61,34 @@ class Launched(NamedTuple):
     parameters: Mapping[str, Any] = {}
 
 
-def declared(
+def declare_arguments(
     executables: Iterable[str], **own: tuple[str, str]
 ) -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     """Arguments that a launch file of these nodes uses, and settings of the DDS discovery.
 
     ``own`` are arguments of this file alone: name=(default, description).
     """
-    arguments = {**{name: _ARGUMENTS[name] for name in _used_by(executables)}, **own}
+    arguments = {**{name: _ARGUMENTS[name] for name in _used_arguments(executables)}, **own}
     return [
         *(
             DeclareLaunchArgument(name, default_value=default, description=about)
             for name, (default, about) in arguments.items()
         ),
-        *_discovery(),
+        *_discovery_settings(),
     ]
 
 
-def _used_by(executables: Iterable[str]) -> list[str]:
+def _used_arguments(executables: Iterable[str]) -> list[str]:
     """Names of the arguments that affect one of these nodes, in the order of ``_ARGUMENTS``."""
-    used = set(_OF_EVERY_NODE)
+    used = set(_COMMON_ARGUMENTS)
     for executable in executables:
-        used |= {_OF_SWITCH[executable]} if executable in _OF_SWITCH else set()
-        used |= {"vehicle"} if executable in _WITH_VEHICLE else set()
-        used |= set(_OF_SOURCES) if executable == "slip_estimator" else set()
+        used |= {_SWITCH_OF_NODE[executable]} if executable in _SWITCH_OF_NODE else set()
+        used |= {"vehicle"} if executable in _NODES_WITH_VEHICLE else set()
+        used |= set(_SOURCE_SWITCHES) if executable == "slip_estimator" else set()
     return [name for name in _ARGUMENTS if name in used]
 
 
-def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
+def _discovery_settings() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     """Limit discovery to this computer and the named peers; variables that are set already are kept.
 
     Fast DDS gets our profile, which states the reason.
@@ -108,21 +108,21 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     ]
 
 
-def nodes(context: LaunchContext, requested: Iterable[Launched]) -> list[Node]:
+def make_nodes(context: LaunchContext, requested: Iterable[LaunchedNode]) -> list[Node]:
     """The nodes of ``requested`` that are switched on.
 
     Raises:
         InputError: the value of an argument is rejected.
     """
-    chosen = switched_on(context, requested)
-    names = _used_by(one.executable for one in chosen)
+    chosen = enabled_nodes(context, requested)
+    names = _used_arguments(one.executable for one in chosen)
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
     given["params_file"] = _parameter_file(given["params_file"])
-    switches = {name: switch(context, name) for name in names if _is_switch(name)}
-    return [_node(one, given, switches) for one in chosen]
+    switches = {name: is_switched_on(context, name) for name in names if _is_switch(name)}
+    return [_make_node(one, given, switches) for one in chosen]
 
 
-def switched_on(context: LaunchContext, requested: Iterable[Launched]) -> list[Launched]:
+def enabled_nodes(context: LaunchContext, requested: Iterable[LaunchedNode]) -> list[LaunchedNode]:
     """Those of ``requested`` whose switch is on, or that have none.
 
     Raises:
@@ -131,11 +131,11 @@ def switched_on(context: LaunchContext, requested: Iterable[Launched]) -> list[L
     return [
         one
         for one in requested
-        if one.executable not in _OF_SWITCH or switch(context, _OF_SWITCH[one.executable])
+        if one.executable not in _SWITCH_OF_NODE or is_switched_on(context, _SWITCH_OF_NODE[one.executable])
     ]
 
 
-def switch(context: LaunchContext, name: str) -> bool:
+def is_switched_on(context: LaunchContext, name: str) -> bool:
     """Whether the argument ``name`` is on.
 
     Raises:
@@ -147,7 +147,7 @@ def switch(context: LaunchContext, name: str) -> bool:
     return text.lower() in _YES
 
 
-def number(context: LaunchContext, name: str, kind: type[int] | type[float]) -> float:
+def number_argument(context: LaunchContext, name: str, kind: type[int] | type[float]) -> float:
     """The value of the argument ``name``.
 
     Raises:
@@ -173,16 +173,16 @@ def _parameter_file(given: str) -> str:
     return str(path) if given else ""
 
 
-def _node(one: Launched, given: Mapping[str, str], switches: Mapping[str, bool]) -> Node:
+def _make_node(one: LaunchedNode, given: Mapping[str, str], switches: Mapping[str, bool]) -> Node:
     parameters = {"use_sim_time": switches["use_sim_time"], **one.parameters}
-    if one.executable in _WITH_VEHICLE and given["vehicle"]:
+    if one.executable in _NODES_WITH_VEHICLE and given["vehicle"]:
         parameters["vehicle"] = given["vehicle"]
     files = [given["params_file"]] if given["params_file"] else []
     receiver = []
     if one.executable == "slip_estimator":
-        parameters |= _sources({name for name in _OF_SOURCES if switches[name]})
+        parameters |= _source_parameters({name for name in _SOURCE_SWITCHES if switches[name]})
         receiver = [str(config_file("gnss.yaml"))] if switches["gnss"] else []
-    if one.executable in _WITH_PREFIX and given["namespace"].strip("/"):
+    if one.executable in _NODES_WITH_PREFIX and given["namespace"].strip("/"):
         parameters["frame_prefix"] = given["namespace"].strip("/") + "/"
     return Node(
         package=one.package,
@@ -192,28 +192,28 @@ def _node(one: Launched, given: Mapping[str, str], switches: Mapping[str, bool])
         parameters=[*receiver, parameters, *files],
         arguments=["--ros-args", "--log-level", given["log_level"], "--enclave", _enclave(one, given)],
         output="screen",
-        **(_respawn() if switches["respawn"] else {}),
+        **(_respawn_options() if switches["respawn"] else {}),
     )
 
 
-def _respawn() -> dict[str, Any]:
+def _respawn_options() -> dict[str, Any]:
     """Options for a restart; launch restarts a node after any exit code, even after rejected input."""
-    return {"respawn": True, "respawn_delay": _RESPAWN_DELAY, "on_exit": _keep_ended}
+    return {"respawn": True, "respawn_delay": _RESPAWN_DELAY, "on_exit": _cancel_respawn}
 
 
-def _keep_ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
+def _cancel_respawn(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
     """The event that cancels a respawn within its delay, if the node rejected its input."""
     if event.returncode != ExitCode.BAD_INPUT:
         return None
     return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
-def _enclave(one: Launched, given: Mapping[str, str]) -> str:
+def _enclave(one: LaunchedNode, given: Mapping[str, str]) -> str:
     """Enclave of the node's keys in the keystore, as in ``deploy/security/policy.xml``."""
     return "/".join(("", *filter(None, given["namespace"].split("/")), one.executable))
 
 
-def _sources(sensors: set[str]) -> dict[str, Any]:
+def _source_parameters(sensors: set[str]) -> dict[str, Any]:
     """Sources of the slip estimator; without a pose source it starts at the pose in its parameters."""
     if {"laser", "imu"} <= sensors and "gnss" not in sensors:
         return {}  # its own defaults

@@ -9,7 +9,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.failures import cause
+from trackslip_common.nodes.failures import describe_exception
 
 
 class SelfStartingNode(LifecycleNode):
@@ -64,7 +64,7 @@ class SelfStartingNode(LifecycleNode):
         """Lifecycle transition."""
         outcome = self._attempt(self._configure)
         if outcome is not TransitionCallbackReturn.SUCCESS:
-            self._undo()
+            self._undo_configure()
             return outcome
         return super().on_configure(state)
 
@@ -86,7 +86,7 @@ class SelfStartingNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle transition: back to before ``configure``."""
-        self._undo()
+        self._undo_configure()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -96,7 +96,7 @@ class SelfStartingNode(LifecycleNode):
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle transition after an internal error: back to before ``configure``."""
-        self._undo()
+        self._undo_configure()
         return super().on_error(state)
 
     def drop_subscriptions(self) -> None:
@@ -126,11 +126,11 @@ class SelfStartingNode(LifecycleNode):
         except Exception as error:  # noqa: BLE001 (a defect of ours: logged, and the transition fails)
             self._failure = error
             if not self._starting:
-                self.get_logger().error(cause(error))
+                self.get_logger().error(describe_exception(error))
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 
-    def _undo(self) -> None:
+    def _undo_configure(self) -> None:
         """Undo ``configure``, even if it was incomplete."""
         self.drop_subscriptions()
         for timer in list(self.timers):

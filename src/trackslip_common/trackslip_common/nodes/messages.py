@@ -45,7 +45,7 @@ def type_name_of(kind: type) -> str:
 def fields_of(type_name: str) -> tuple[Field, ...]:
     """Fields of a message type."""
     texts: dict[str, str] = message_class(type_name)._fields_and_field_types  # type: ignore[attr-defined]
-    return tuple(_field(name, text) for name, text in texts.items())
+    return tuple(_parse_field(name, text) for name, text in texts.items())
 
 
 def packed_topic(kind: type) -> PackedTopic:
@@ -53,7 +53,7 @@ def packed_topic(kind: type) -> PackedTopic:
     return PackedTopic(type_name_of(kind), fields_of, lambda raw: deserialize_message(raw, kind))
 
 
-def _field(name: str, text: str) -> Field:
+def _parse_field(name: str, text: str) -> Field:
     """A field from rclpy's text: ``double``, ``double[9]``, ``sequence<string>``, ``std_msgs/Header`` etc."""
     found = _FIELD.fullmatch(text)
     assert found is not None, text

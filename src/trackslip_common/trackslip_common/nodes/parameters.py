@@ -28,7 +28,7 @@ from trackslip_common.parameters import (
 
 P = TypeVar("P", bound=Parameters)
 
-_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,23 +53,23 @@ def read_overrides(
     given = {
         key: entry.value
         for key, entry in node.get_parameters_by_prefix("").items()
-        if not key.startswith(_ROS_OWN)
+        if not key.startswith(_ROS_PARAMETERS)
     }
     for key in given:
         node.undeclare_parameter(key)
     shared = to_flat(common)
     shared |= {key: given.pop(key) for key in shared.keys() & given.keys()}
     name, defaults = node.get_name(), node_defaults(what, *default_files)
-    shared_by_many = _names_for_many(sys.argv)
-    if shared_by_many & given.keys():
+    shared_names = _names_in_shared_sections(sys.argv)
+    if shared_names & given.keys():
         known = {*known_names(kind, kind.overlay(defaults, given), name), *kind.EXTRA_NAMES}
-        for key in sorted(shared_by_many & given.keys() - known):
+        for key in sorted(shared_names & given.keys() - known):
             node.get_logger().info(f"parameter '{key}', given to many nodes, is none of this one")
             del given[key]
     return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlay(defaults, given), name)
 
 
-def _names_for_many(arguments: Sequence[str]) -> frozenset[str]:
+def _names_in_shared_sections(arguments: Sequence[str]) -> frozenset[str]:
     """Dotted names in sections such as ``/**`` of the parameter files of a command line."""
     files = [file for flag, file in pairwise(arguments) if flag == "--params-file"]
     found: set[str] = set()
@@ -80,14 +80,14 @@ def _names_for_many(arguments: Sequence[str]) -> frozenset[str]:
     return frozenset(found)
 
 
-def declare(node: Node, record: Parameters) -> None:
+def declare_parameters(node: Node, record: Parameters) -> None:
     """Declare each parameter to ROS with its value, unit and range."""
     values = to_flat(record)
     for key, kind, spec in flat_fields(record):
         node.declare_parameter(key, values[key], _descriptor(kind, spec), ignore_override=True)
 
 
-def changed(record: P, values: Mapping[str, Any], where: str) -> P:
+def changed_record(record: P, values: Mapping[str, Any], where: str) -> P:
     """The record with changed values, by dotted name.
 
     Raises:

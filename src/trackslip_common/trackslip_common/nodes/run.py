@@ -22,7 +22,7 @@ from rclpy.task import Future
 
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.nodes.base import TrackslipNode
-from trackslip_common.nodes.failures import cause
+from trackslip_common.nodes.failures import describe_exception
 from trackslip_common.start import collect_garbage_seldom
 
 try:
@@ -34,7 +34,7 @@ __all__ = ["Executor", "run"]
 
 _POLL = 0.1  # s, longest delay before a signal is noticed
 _DRAIN_POLL = 0.02  # s
-_GARBAGE = 50_000  # objects between collections of garbage, each a pause of some ms
+_GARBAGE_THRESHOLD = 50_000  # objects between collections of garbage, each a pause of some ms
 _SECURITY = (
     "with ROS_SECURITY_ENABLE, a keystore with an enclave of this node, and a middleware with security"
     " (docs/security.md)"
@@ -47,14 +47,14 @@ class _StopSignals:
 
     def __init__(self) -> None:
         self.received: list[int] = []
-        self.break_off = True
+        self.interrupts = True
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, _frame: object) -> None:
         self.received.append(number)
-        if self.break_off:
-            self.break_off = False  # so that nothing interrupts the shutdown
+        if self.interrupts:
+            self.interrupts = False  # so that nothing interrupts the shutdown
             raise KeyboardInterrupt
 
 
@@ -70,21 +70,23 @@ def run(
     ``interrupted``: code after SIGINT, a node's regular end unless it has something to finish.
     ``niceness``: for a node that is not used for control; with few cores the others then run first.
     """
-    collect_garbage_seldom(_GARBAGE)  # with Python's threshold, a working node collects every second
+    collect_garbage_seldom(
+        _GARBAGE_THRESHOLD
+    )  # with Python's threshold, a working node collects every second
     os.nice(niceness)  # before the middleware starts its threads, which inherit it
     signals = _StopSignals()
     node: TrackslipNode[Any] | None = None
     try:
-        node = _make(make_node, argv)
-        node.send_failures.watch_answers()
+        node = _make_node(make_node, argv)
+        node.send_failures.count_lost_responses()
         node.start()
-        _settle(node)
-        signals.break_off = False
+        _tune_process(node)
+        signals.interrupts = False
         executor = make_executor()
         executor.add_node(node)
         _spin(node, executor, signals)
         node.drain(lambda: _spin_for(node, executor, _DRAIN_POLL))
-        if node.callback_failures.are_hopeless:
+        if node.callback_failures.has_long_streak:
             print(f"{node.get_name()}: only failures; {node.callback_failures.last}", file=sys.stderr)
             return ExitCode.FAILED
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -96,10 +98,10 @@ def run(
             print(error, file=sys.stderr)
             return ExitCode.BAD_INPUT
         else:
-            print(f"failed: {cause(error)}", file=sys.stderr)
+            print(f"failed: {describe_exception(error)}", file=sys.stderr)
             return ExitCode.FAILED
     finally:
-        signals.break_off = False
+        signals.interrupts = False
         if node is not None:
             node.end()
             node.destroy_node()
@@ -109,7 +111,7 @@ def run(
 
 def _spin(node: TrackslipNode[Any], executor: Any, signals: _StopSignals) -> None:
     """Spin until a signal, the end of ROS, or a streak of failures."""
-    while not signals.received and rclpy.ok() and not node.callback_failures.are_hopeless:
+    while not signals.received and rclpy.ok() and not node.callback_failures.has_long_streak:
         _spin_for(node, executor, _POLL)
 
 
@@ -126,7 +128,7 @@ def _spin_for(node: TrackslipNode[Any], executor: Any, seconds: float) -> None:
         node.callback_failures.add("executor", error)
 
 
-def _settle(node: TrackslipNode[Any]) -> None:
+def _tune_process(node: TrackslipNode[Any]) -> None:
     """After the start: set the requested priority, and exempt all present objects from garbage collection."""
     if not _request_priority(node.common.realtime_priority):
         node.get_logger().info("real-time scheduling is not permitted: expect delays on a busy host")
@@ -149,7 +151,7 @@ def _request_priority(priority: int) -> bool:
     return True
 
 
-def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None) -> TrackslipNode[Any]:
+def _make_node(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None) -> TrackslipNode[Any]:
     """Initialise rclpy, and make the node."""
     set_logger_level("rcl", LoggingSeverity.FATAL)  # rcl would repeat the error on its own line
     warnings.simplefilter("ignore", RuntimeWarning)  # of rcl, when it abandons an incomplete node

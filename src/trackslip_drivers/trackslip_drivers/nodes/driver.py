@@ -150,9 +150,9 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Connection, rate, age, rejections."""
         assert self._link is not None
         state, now_s = self._link.state(), time.monotonic()
-        if news := self.tally.since_last_look():
+        if news := self.tally.new_counts():
             often = max(news, key=lambda key: news[key])  # the latest would change at each report
-            self._rejected = (self.tally.words(often), now_s, _date(time.time()))
+            self._rejected = (self.tally.detail_or_reason(often), now_s, _date(time.time()))
         then_s, then = self._rate_start
         if now_s - then_s >= _RATE_INTERVAL:
             self._rate = (self._published - then) / (now_s - then_s)

@@ -16,8 +16,8 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
-from trackslip_common.kept_files import move_aside, own_file
-from trackslip_common.whole_file import replacing
+from trackslip_common.kept_files import move_aside, parameter_path
+from trackslip_common.whole_file import atomic_replacement
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
@@ -125,7 +125,7 @@ class TrackFile:
         Raises:
             InputError: the home directory is unknown.
         """
-        self._path = own_file("track_file", path)
+        self._path = parameter_path("track_file", path)
         self._written_ns = 0
         self._is_foreign = False  # whether the present file is no track
         self.failures = 0
@@ -153,7 +153,7 @@ class TrackFile:
         self._written_ns = state.scan_ns
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(self._path, track_text(state)):
+            with atomic_replacement(self._path, track_text(state)):
                 if self._is_foreign:
                     move_aside(self._path)
                 self._is_foreign = False

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.make import Make, header
+from trackslip_common.make import MessageFactory, header
 from trackslip_common.message_fields import NavSatFields
 from trackslip_common.message_reading import read
 from trackslip_estimation.gnss.localizer import AntennaPosition, Datum, Fix
@@ -22,7 +22,7 @@ def fix(message: Any) -> Fix:
     return Fix(*read(NavSatFields, message))
 
 
-def pose(make: Make, place: AntennaPosition, topic: str, frame: str) -> Any:
+def pose(make: MessageFactory, place: AntennaPosition, topic: str, frame: str) -> Any:
     """Return a geometry_msgs/PoseWithCovarianceStamped of an antenna, with unobserved heading."""
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = place.covariance
@@ -31,7 +31,7 @@ def pose(make: Make, place: AntennaPosition, topic: str, frame: str) -> Any:
     return pose_with_covariance(make, PoseFix(topic, place.stamp_ns, at, covariance, *altitude), frame)
 
 
-def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:
+def datum(make: MessageFactory, origin: Datum, stamp_ns: int, frame: str) -> Any:
     """Return a sensor_msgs/NavSatFix of the map's origin, which is exact."""
     return make(
         "sensor_msgs/msg/NavSatFix",

@@ -44,7 +44,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         datum = self._localizer.datum
         known = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
         values = {"fixes": self._fixes, "poses": self._poses, "datum": known, **rejected}
-        news = self._localizer.tally.since_last_look()
+        news = self._localizer.tally.new_counts()
         if self._fixes == fixes:
             return [Health(WARN, "no fixes", values)]
         if self._poses == poses:

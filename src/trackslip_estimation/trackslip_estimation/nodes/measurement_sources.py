@@ -15,7 +15,7 @@ from trackslip_common.message_fields import FrameFields
 from trackslip_common.message_reading import read
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import message_class, topic_class
-from trackslip_common.nodes.qos import latched
+from trackslip_common.nodes.qos import latched_qos
 from trackslip_common.topics import FIX_VELOCITY
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measurement
@@ -53,7 +53,7 @@ class StaticMountings:
                 kind = topic_class("tf")
             except ModuleNotFoundError as error:
                 raise InputError("mounting_from_tf: tf2_msgs is not installed") from error
-            node.create_subscription(kind, "/tf_static", self.add_transforms, latched(_DEPTH))
+            node.create_subscription(kind, "/tf_static", self.add_transforms, latched_qos(_DEPTH))
 
     def add_transforms(self, message: Any) -> None:
         """Add the transforms of one message of /tf_static."""

@@ -75,9 +75,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self._estimator = SlipEstimator(self.settings, learned=self._kept.learned)
         self._watch.set_timeouts(self.settings.timeouts_ns())
 
-    def started_from(self) -> dict[str, Any]:
+    def start_inputs(self) -> dict[str, Any]:
         """Return the states learned before this run, for the bag."""
-        return self._kept.started_from()
+        return self._kept.start_inputs()
 
     def deactivate(self) -> None:
         """Save the learned states."""

@@ -33,7 +33,7 @@ class StateKeeper:
             log.info(self._file.note) if self._file.used else log.warning(self._file.note)
             node.create_timer(_PERIOD, self._save, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def started_from(self) -> dict[str, Any]:
+    def start_inputs(self) -> dict[str, Any]:
         """Return the states learned before this run, as they are stored in a bag."""
         return {} if self.learned is None else {"learned": to_tree(self.learned, self._learned_context)}
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.make import Make, header, set_stamp
+from trackslip_common.make import MessageFactory, header, set_stamp
 from trackslip_common.message_fields import (
     ABSENT,
     PLANE_IN_6,
@@ -169,14 +169,14 @@ def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> Odome
     return OdometryPose(source, m.stamp_ns, place, turn, frame, variances)
 
 
-def odometry(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
+def odometry(make: MessageFactory, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry of an estimate."""
     message = blank_odometry(make, parent_frame, base_frame)
     fill_odometry(message, estimate)
     return message
 
 
-def blank_odometry(make: Make, parent_frame: str, base_frame: str) -> Any:
+def blank_odometry(make: MessageFactory, parent_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry for ``fill_odometry``, which is several times faster than a new message."""
     message = make("nav_msgs/msg/Odometry", header=header(make, 0, parent_frame), child_frame_id=base_frame)
     message.pose.covariance, message.twist.covariance = _BLANK_36.copy(), _BLANK_36.copy()
@@ -200,7 +200,7 @@ def fill_odometry(message: Any, estimate: Estimate) -> None:
     message.twist.covariance[_RATES_IN_36] = of_rates
 
 
-def attitude(make: Make, estimate: Estimate, base_frame: str) -> Any:
+def attitude(make: MessageFactory, estimate: Estimate, base_frame: str) -> Any:
     """sensor_msgs/Imu of an estimate that has a tilt."""
     message = blank_attitude(make, base_frame)
     if estimate.outputs.tilt is not None:
@@ -208,7 +208,7 @@ def attitude(make: Make, estimate: Estimate, base_frame: str) -> Any:
     return message
 
 
-def blank_attitude(make: Make, base_frame: str) -> Any:
+def blank_attitude(make: MessageFactory, base_frame: str) -> Any:
     """sensor_msgs/Imu for ``fill_attitude``."""
     return make("sensor_msgs/msg/Imu", header=header(make, 0, base_frame))
 
@@ -229,7 +229,7 @@ def fill_attitude(message: Any, estimate: Estimate, tilt: Tilt) -> None:
     message.linear_acceleration_covariance = np.diag(np.full(3, tilt.force_variance)).ravel()
 
 
-def blank_swing(make: Make, base_frame: str) -> Any:
+def blank_swing(make: MessageFactory, base_frame: str) -> Any:
     """sensor_msgs/JointState for ``fill_swing``."""
     return make(
         "sensor_msgs/msg/JointState",
@@ -247,7 +247,7 @@ def fill_swing(message: Any, estimate: Estimate, swing: Swing) -> None:
     message.position, message.velocity = np.array((swing.angle, of_angle)), np.array((swing.rate, of_rate))
 
 
-def swing(make: Make, estimate: Estimate, base_frame: str) -> Any:
+def swing(make: MessageFactory, estimate: Estimate, base_frame: str) -> Any:
     """sensor_msgs/JointState of an estimate that has a swing."""
     message = blank_swing(make, base_frame)
     if estimate.outputs.swing is not None:
@@ -255,14 +255,14 @@ def swing(make: Make, estimate: Estimate, base_frame: str) -> Any:
     return message
 
 
-def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:
+def track_slip(make: MessageFactory, estimate: Estimate, base_frame: str) -> Any:
     """trackslip_msgs/TrackSlip of an estimate."""
     message = blank_track_slip(make, base_frame)
     fill_track_slip(message, estimate)
     return message
 
 
-def blank_track_slip(make: Make, base_frame: str) -> Any:
+def blank_track_slip(make: MessageFactory, base_frame: str) -> Any:
     """trackslip_msgs/TrackSlip for ``fill_track_slip``."""
     return make("trackslip_msgs/msg/TrackSlip", header=header(make, 0, base_frame))
 
@@ -275,14 +275,14 @@ def fill_track_slip(message: Any, estimate: Estimate) -> None:
     message.motion_state = int(estimate.motion)
 
 
-def machine_state(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
+def machine_state(make: MessageFactory, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
     """trackslip_msgs/MachineState of an estimate."""
     message = blank_machine_state(make, parent_frame, base_frame)
     fill_machine_state(message, estimate)
     return message
 
 
-def blank_machine_state(make: Make, parent_frame: str, base_frame: str) -> Any:
+def blank_machine_state(make: MessageFactory, parent_frame: str, base_frame: str) -> Any:
     """trackslip_msgs/MachineState for ``fill_machine_state``."""
     return make(
         "trackslip_msgs/msg/MachineState", header=header(make, 0, parent_frame), child_frame_id=base_frame
@@ -307,7 +307,7 @@ def fill_machine_state(message: Any, estimate: Estimate) -> None:
     message.swing_covariance = _ABSENT_4 if of.swing is None else of.swing.covariance.ravel()
 
 
-def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
+def pose_with_covariance(make: MessageFactory, fix: PoseFix, frame: str) -> Any:
     """geometry_msgs/PoseWithCovarianceStamped of a fix."""
     pose, covariance = planar_pose_message(make, fix.pose), covariance_6x6(fix.covariance)
     pose.position.z, covariance[_ALTITUDE_IN_36] = fix.altitude, fix.altitude_variance
@@ -318,14 +318,14 @@ def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
     )
 
 
-def measurement_report(make: Make, report: Report, sequence: int) -> Any:
+def measurement_report(make: MessageFactory, report: Report, sequence: int) -> Any:
     """trackslip_msgs/MeasurementReport."""
     message = blank_measurement_report(make, report.source)
     fill_measurement_report(message, report, sequence)
     return message
 
 
-def blank_measurement_report(make: Make, source: str) -> Any:
+def blank_measurement_report(make: MessageFactory, source: str) -> Any:
     """trackslip_msgs/MeasurementReport on a source, for ``fill_measurement_report``."""
     return make("trackslip_msgs/msg/MeasurementReport", header=header(make, 0, ""), source=source)
 
@@ -337,7 +337,7 @@ def fill_measurement_report(message: Any, report: Report, sequence: int) -> None
     message.nis, message.gate, message.dof = report.nis, report.gate, report.dof
 
 
-def planar_pose_message(make: Make, pose: FloatArray) -> Any:
+def planar_pose_message(make: MessageFactory, pose: FloatArray) -> Any:
     """geometry_msgs/Pose of (3,) x, y, heading."""
     x, y, heading = (float(v) for v in pose)
     orientation = make(

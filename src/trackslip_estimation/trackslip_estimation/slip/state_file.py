@@ -18,8 +18,8 @@ from typing import Any
 import yaml
 
 from trackslip_common.errors import InputError
-from trackslip_common.kept_files import move_aside, own_file
-from trackslip_common.whole_file import replacing
+from trackslip_common.kept_files import move_aside, parameter_path
+from trackslip_common.whole_file import atomic_replacement
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import (
     Learned,
@@ -82,7 +82,7 @@ class StateFile:
         Raises:
             InputError: the home directory is unknown.
         """
-        self._path = own_file("state_file", path)
+        self._path = parameter_path("state_file", path)
         self._is_foreign = False  # whether the existing file was not used
         self._other = ""  # machine of that file, if known
         self._damaged: Path | None = None  # file of this machine under its digest, if invalid
@@ -176,7 +176,7 @@ class StateFile:
         try:
             text = state_text(learned, context, now_s)
             path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(path, text, sync=True):  # power may be switched off at any time
+            with atomic_replacement(path, text, sync=True):  # power may be switched off at any time
                 self._move_aside(path)
         except (OSError, ValueError) as error:  # ValueError: invalid path
             self._count_failure(getattr(error, "strerror", None) or str(error))

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.make import Make, header, set_stamp
+from trackslip_common.make import MessageFactory, header, set_stamp
 from trackslip_estimation.slip.conversions import Frames
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.mounting import quaternion_from_angles
 
 
-def blank_transforms(make: Make, frames: Frames) -> Any:
+def blank_transforms(make: MessageFactory, frames: Frames) -> Any:
     """tf2_msgs/TFMessage for ``fill_transforms``: map → odom → base_link."""
     chain = ((frames.map, frames.odom), (frames.odom, frames.base))
     return make(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.make import Make, header
+from trackslip_common.make import MessageFactory, header
 from trackslip_common.message_fields import ABSENT, HydraulicsFields, MachineStateFields
 from trackslip_common.message_reading import read
 from trackslip_estimation.slip.measurements import UNOBSERVED
@@ -59,7 +59,7 @@ def machine_state(message: Any) -> MachineState:
     )
 
 
-def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
+def message_of(make: MessageFactory, output: SoilOutput, base_frame: str) -> Any:
     """Return the message for an output: trackslip_msgs/TrackForces, SoilEstimate or TrackSlip."""
     if isinstance(output, TrackForces):
         return track_forces(make, output, base_frame)
@@ -68,7 +68,7 @@ def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
     return soil_estimate(make, output, base_frame)
 
 
-def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
+def track_forces(make: MessageFactory, forces: TrackForces, base_frame: str) -> Any:
     """Return a trackslip_msgs/TrackForces."""
     fields = {f"{side}_{name}": getattr(forces, of)[k] for name, of in _PAIRS for k, side in _SIDES}
     return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
@@ -86,7 +86,7 @@ def topic_of(output: SoilOutput) -> str:
     return SEED if isinstance(output, SlipSeed) else SOIL
 
 
-def slip_seed(make: Make, seed: SlipSeed, base_frame: str) -> Any:
+def slip_seed(make: MessageFactory, seed: SlipSeed, base_frame: str) -> Any:
     """Return a trackslip_msgs/TrackSlip with an unobserved slip angle."""
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = seed.covariance
@@ -102,7 +102,7 @@ def slip_seed(make: Make, seed: SlipSeed, base_frame: str) -> Any:
     )
 
 
-def soil_estimate(make: Make, state: SoilState, base_frame: str) -> Any:
+def soil_estimate(make: MessageFactory, state: SoilState, base_frame: str) -> Any:
     """Return a trackslip_msgs/SoilEstimate."""
     found = state.strength
     (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval

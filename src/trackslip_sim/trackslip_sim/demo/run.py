@@ -19,7 +19,7 @@ from rich.markup import escape
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
-from trackslip_common.console import end_of_output
+from trackslip_common.console import report_output_failure
 from trackslip_common.errors import ExitCode, InputError, printable
 from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return ExitCode.FAILED
     except OSError as error:
-        return end_of_output("make demo", error)
+        return report_output_failure("make demo", error)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED

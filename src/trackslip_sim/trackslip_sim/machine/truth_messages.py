@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.make import Make, header
+from trackslip_common.make import MessageFactory, header
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
 from trackslip_drivers.conversions import blank_imu
@@ -33,7 +33,7 @@ class TruthTopic(NamedTuple):
     columns: Callable[[Truth], Columns]
 
 
-def truth_topics(make: Make, vehicle: Vehicle, body_frame: str) -> dict[str, TruthTopic]:
+def truth_topics(make: MessageFactory, vehicle: Vehicle, body_frame: str) -> dict[str, TruthTopic]:
     """Topics of the truth of every machine, live and offline; without swing and soil."""
     slip, forces = (
         make(f"trackslip_msgs/msg/{name}", header=header(make, 0, body_frame))
@@ -47,14 +47,14 @@ def truth_topics(make: Make, vehicle: Vehicle, body_frame: str) -> dict[str, Tru
     }
 
 
-def _odometry(make: Make, base_frame: str) -> Any:
+def _odometry(make: MessageFactory, base_frame: str) -> Any:
     """A blank nav_msgs/Odometry with zero covariances."""
     message = blank_odometry(make, SITE_FRAME, base_frame)
     message.pose.covariance, message.twist.covariance = np.zeros(36), np.zeros(36)
     return message
 
 
-def _attitude(make: Make, base_frame: str) -> Any:
+def _attitude(make: MessageFactory, base_frame: str) -> Any:
     """A blank sensor_msgs/Imu with zero variances and without acceleration."""
     message = blank_imu(make, base_frame, acceleration_stddev=0.0, rate_stddev=0.0)
     message.orientation_covariance[0], message.linear_acceleration_covariance[0] = 0.0, -1.0
@@ -141,7 +141,7 @@ def _forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
     }
 
 
-def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
+def soil_message(make: MessageFactory, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
     """trackslip_msgs/SoilEstimate of the ground under C: zero-width intervals, one class of probability 1."""
     ground = soil(at.soil_name())
     limit = soil_thrust_limit(ground, vehicle)

@@ -13,7 +13,7 @@ from rclpy.clock import Clock, ClockType
 
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import TrackslipNode
-from trackslip_common.nodes.failures import cause
+from trackslip_common.nodes.failures import describe_exception
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
@@ -155,7 +155,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                 tick_ns += TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
         except Exception as error:  # noqa: BLE001 (the thread ends, which /diagnostics must show)
-            self._trouble = f"stopped: {cause(error)}"
+            self._trouble = f"stopped: {describe_exception(error)}"
             self.get_logger().error(self._trouble)
 
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:

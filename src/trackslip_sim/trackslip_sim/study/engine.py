@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.whole_file import write_whole
+from trackslip_common.whole_file import write_atomically
 from trackslip_sim.study.cache import Cache, key_of
 from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.workers import Map
@@ -124,7 +124,7 @@ class Study(ABC, Generic[Piece, Result]):
 
     def write(self, rows: Sequence[Any], folder: Path) -> None:
         """Write the tables as a file into an existing folder."""
-        write_whole(folder / self.files()[0], f"{BEGINNING}\n{self.markdown(rows)}")
+        write_atomically(folder / self.files()[0], f"{BEGINNING}\n{self.markdown(rows)}")
 
     def _key(self, piece: Any) -> str:
         return key_of({"piece": asdict(piece), **self.depends_on(piece)}, *self.SOURCES)

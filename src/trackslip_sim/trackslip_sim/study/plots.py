@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from trackslip_common.whole_file import write_whole
+from trackslip_common.whole_file import write_atomically
 
 COLOURS = ("#c2862d", "#6b4a2f", "#3b6ea5", "#b2483f", "#5f8f4e")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
@@ -52,4 +52,4 @@ def save(figure: Figure, file: Path) -> None:
     """Write a PNG whose bytes depend only on the content of the figure."""
     image = io.BytesIO()
     figure.savefig(image, format="png", metadata={"Software": None})
-    write_whole(file, image.getvalue())
+    write_atomically(file, image.getvalue())

@@ -16,7 +16,7 @@ from trackslip_bags.writer import refuse_existing
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
 from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_common.whole_file import write_whole
+from trackslip_common.whole_file import write_atomically
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.description import describe
@@ -86,7 +86,7 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | Non
     if path.exists():
         raise InputError(f"'{path}' exists; accepted: {again}")
     first = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
-    write_whole(path, first.text)
+    write_atomically(path, first.text)
     for field, column in first.found.items():
         show(f"found: {field}: {column}")
     for line in first.guessed:

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from trackslip_common import __version__
-from trackslip_common.compiling import compilation_announced
-from trackslip_common.console import end_of_output, escape_unencodable
+from trackslip_common.compiling import announce_compilation
+from trackslip_common.console import escape_unencodable, report_output_failure
 from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli import progress
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         begin_command()
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
-        with compilation_announced(progress.show_status):
+        with announce_compilation(progress.show_status):
             code: int = args.run(args)
         sys.stdout.flush()
         return code
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
     except OSError as error:
-        return end_of_output("trackslip", error)
+        return report_output_failure("trackslip", error)
     except Exception:
         if was_interrupted():
             return ExitCode.INTERRUPTED

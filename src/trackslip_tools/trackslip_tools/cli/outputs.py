@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_whole
+from trackslip_common.whole_file import write_atomically
 
 # First characters of the files.
 PAGE = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
@@ -71,7 +71,7 @@ def write_file(option: str, path: Path, content: str) -> None:
         InputError: it cannot be written.
     """
     try:
-        write_whole(path, content)
+        write_atomically(path, content)
     except OSError as error:
         raise InputError(f"--{option}: '{path}' cannot be written ({error.strerror})") from error
 

@@ -14,7 +14,7 @@ from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, namespaces, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
-from trackslip_common.errors import InputError, collected, show, suggestion
+from trackslip_common.errors import InputError, collect_output, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, has_vehicle_name, load_vehicle, vehicle_layer
@@ -253,7 +253,7 @@ def setup_of(bag: Bag, vehicle: str | None = None) -> Result | None:
     """Print and return the result of the setup check of a whole bag; None without sprockets."""
     if not any(relative(topic) == SPROCKETS for topic in bag.topics):
         return None
-    with collected():  # suppresses the line on the vehicle, printed with the rest
+    with collect_output():  # suppresses the line on the vehicle, printed with the rest
         p = parameters_of(bag, [], [], vehicle)
     result = check_bag(bag, p)
     show(finding(result))

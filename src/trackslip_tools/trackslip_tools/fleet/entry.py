@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.errors import ExitCode, InputError, collected
+from trackslip_common.errors import ExitCode, InputError, collect_output
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.output import summary
@@ -69,7 +69,7 @@ def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, for
     ``force``: accept a wrong setup.
     """
     distance = Distance()
-    with collected() as lines:
+    with collect_output() as lines:
         try:
             result, page = replayed(distance.add)
         except (InputError, OSError) as error:

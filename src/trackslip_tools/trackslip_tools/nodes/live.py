@@ -19,7 +19,7 @@ from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, Health
 from trackslip_common.nodes.messages import message_class
-from trackslip_common.nodes.qos import best_effort, latched
+from trackslip_common.nodes.qos import best_effort_qos, latched_qos
 from trackslip_common.nodes.run import run
 from trackslip_common.topics import DIAGNOSTICS
 from trackslip_common.vehicle_files import load_vehicle
@@ -77,7 +77,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
     def _listen(self, topic: str) -> Subscription:
         every = topic in inputs.EVERY_MESSAGE
         self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
-        qos = latched() if topic in inputs.LATCHED else best_effort() if every else _NEWEST
+        qos = latched_qos() if topic in inputs.LATCHED else best_effort_qos() if every else _NEWEST
         full = f"/{topic}" if topic == DIAGNOSTICS else topic
         kind = message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE))
         subscription: Subscription = self.create_subscription(
