@@ -46,7 +46,7 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.series import Series, in_order
+from trackslip_tools.replay.series import Series, sort_by_stamp
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
@@ -213,8 +213,8 @@ def draw_demo(output: Path) -> None:
             collect = lambda part: estimates.add(part.estimates)  # noqa: E731
             result = replay(bag, estimator, InputFilters(), TRUE_ODOMETRY, None, collect)
     start_ns = START_NS + round(p.lead_in * 1e9)
-    driven = {name: series.since(start_ns) for name, series in result.series.items()}
-    found = Series(in_order(estimates.rows())).since(start_ns)
+    driven = {name: series.rows_since(start_ns) for name, series in result.series.items()}
+    found = Series(sort_by_stamp(estimates.rows())).rows_since(start_ns)
     run = Run(found, driven[TRUE_ODOMETRY], driven[TRUE_SLIP], result.paths["dead_reckoning"])
     animate(run, load_vehicle().kinematics, output / "demo.gif")
     print(output / "demo.gif")

@@ -16,8 +16,8 @@ from measurements import MEASUREMENTS
 from measurements.blocks import ROOT, names_on, rewritten
 from measurements.workbench import NotMeasured
 from trackslip_common.errors import ExitCode
-from trackslip_tools.cli.progress import shown
-from trackslip_tools.workers import cores, workers
+from trackslip_tools.cli.progress import iterate_with_bar
+from trackslip_tools.workers import core_count, open_workers
 
 
 def measured(_: None, name: str) -> tuple[str, str, str]:
@@ -39,9 +39,9 @@ def main() -> int:
         print(f"no figures to write on: {', '.join(sorted(missing))}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     left = False
-    with workers(min(cores(), len(found))) as mapped:
+    with open_workers(min(core_count(), len(found))) as mapped:
         running = mapped(measured, [name for name in MEASUREMENTS if name in found])
-        for name, content, reason in shown(running, "measurements", total=len(found)):
+        for name, content, reason in iterate_with_bar(running, "measurements", total=len(found)):
             page = found[name]
             text = page.read_text(encoding="utf-8")
             new = text if reason else rewritten(text, {name: content})

@@ -28,7 +28,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import KINDS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_sim.parameters import EmulatorParameters
-from trackslip_tools.cli.commands import commands
+from trackslip_tools.cli.commands import installed_commands
 from trackslip_tools.live.parameters import LiveParameters
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -247,7 +247,7 @@ def commands_page() -> Iterator[str]:
         "bag is refused before the work. JSON is written with `--json FILE` alone.",
         "",
     )
-    for name, command in commands().items():
+    for name, command in installed_commands().items():
         module = importlib.import_module(command.module)
         parser = argparse.ArgumentParser(prog=f"trackslip {name}", add_help=False)
         module.add_arguments(parser)

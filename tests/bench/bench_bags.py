@@ -23,7 +23,7 @@ from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.run import replay
 from trackslip_tools.tuning.task import read_task, score_of
-from trackslip_tools.workers import cores, workers
+from trackslip_tools.workers import core_count, open_workers
 
 RUNS = 5
 SETS = 100  # parameter sets
@@ -46,7 +46,7 @@ def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
     alone = _median(lambda: _timed(lambda: SlipEstimator(p).process_records(measurements)))
     yield "replay, filter alone", f"{seconds / alone:.0f} ×", "", ""
     jobs = [(0, {"gate_relaxation": 2.0 + k / SETS}) for k in range(SETS)]
-    with workers(cores(), shared=[task]) as mapped:
+    with open_workers(core_count(), shared=[task]) as mapped:
         list(mapped(score_of, jobs[:1]))  # starts the processes
         each = _timed(lambda: list(mapped(score_of, jobs))) / SETS
     yield (

@@ -17,7 +17,7 @@ from fixtures.documents import DOCUMENTS, ROOT, Document, Place
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_tools.cli import main as cli
-from trackslip_tools.cli.commands import commands
+from trackslip_tools.cli.commands import installed_commands
 
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS = set(re.findall(r"^([a-z]+):", MAKEFILE, re.MULTILINE))
@@ -69,7 +69,7 @@ def lines_of(program: str) -> Iterator[Place]:
 @cache
 def options_of(command: str) -> frozenset[str]:
     parser = argparse.ArgumentParser()
-    importlib.import_module(commands()[command].module).add_arguments(parser)
+    importlib.import_module(installed_commands()[command].module).add_arguments(parser)
     actions = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     parsers = [parser, *(inner for action in actions for inner in action.choices.values())]
     return frozenset(option for one in parsers for option in one._option_string_actions)
@@ -147,7 +147,7 @@ def test_commands_in_blocks_parse() -> None:
         for place in Document(file).blocks:
             if place.text.startswith("trackslip ") and "…" not in place.text:
                 try:
-                    cli.parse(shlex.split(place.text, comments=True)[1:])
+                    cli.parse_arguments(shlex.split(place.text, comments=True)[1:])
                 except InputError as error:
                     refused.append(f"{place}: {error}")
     assert refused == []
@@ -160,15 +160,17 @@ def test_commands_and_their_options_are_there() -> None:
         asked = re.sub(r"\W+$", "", words[1])
         if not asked or asked.startswith("-") or asked == "COMMAND":
             continue
-        if asked not in commands() or not set(OPTION.findall(" ".join(words[2:]))) <= options_of(asked) | {
-            "--help"
-        }:
+        if asked not in installed_commands() or not set(OPTION.findall(" ".join(words[2:]))) <= options_of(
+            asked
+        ) | {"--help"}:
             unknown.append(str(place))
     assert unknown == []
 
 
 def test_options_named_alone_belong_to_a_command() -> None:
-    known = {option for command in commands() for option in options_of(command)} | FOREIGN | {"--help"}
+    known = (
+        {option for command in installed_commands() for option in options_of(command)} | FOREIGN | {"--help"}
+    )
     unknown = [
         str(place)
         for file in DOCUMENTS

@@ -37,7 +37,7 @@ from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.verdict import load_limits
 from trackslip_tools.tuning.journal import Journal
-from trackslip_tools.tuning.plan import changed, read_plan
+from trackslip_tools.tuning.plan import change_parameters, read_plan
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import cost
 
@@ -135,7 +135,7 @@ def plan(_: Path) -> Reader:
         found = read_plan(path)
         shares = found.shares(p)
         for share in (shares, np.zeros(shares.size), np.ones(shares.size)):
-            changed(p, found.values(share))
+            change_parameters(p, found.values(share))
 
     return Reader(_config("tune.yaml"), read)
 

@@ -20,7 +20,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_sim.demo.graph import SENSOR_TOPICS, DemoOptions, demo_nodes
 from trackslip_sim.demo.run import main as run_demo
-from trackslip_tools.cli.outputs import PAGE
+from trackslip_tools.cli.outputs import PAGE_PREFIX
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -63,7 +63,7 @@ def test_demo_leaves_numbers_report_and_bag(real_time, programs):
     for topic, counts in summary["topics"].items():
         assert counts["recorded"] == in_bag[f"/{topic}"]
         assert counts["emitted"] >= counts["received"] >= 0.99 * counts["emitted"] > 0
-    assert (folder / "report.html").read_text(encoding="utf-8").startswith(PAGE)
+    assert (folder / "report.html").read_text(encoding="utf-8").startswith(PAGE_PREFIX)
     assert "report: demo/report.html" in program.stdout
     assert programs.alive() == {}
     assert not (folder / "dev").exists()

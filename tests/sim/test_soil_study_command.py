@@ -21,7 +21,7 @@ from trackslip_sim.study.soil.results import ChangeRow, SoilRow
 from trackslip_sim.study.soil.score import Result
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
 from trackslip_tools.cli.main import main
-from trackslip_tools.terminal_text import WIDTH, for_terminal
+from trackslip_tools.terminal_text import WIDTH, format_for_terminal
 
 COMMAND = ["study", "--estimator", "soil", "--soil", "sand", "dry_clay", "--sigma-xy", "0.05", "--seeds", "2"]
 
@@ -73,7 +73,7 @@ def test_command_writes_rows_and_tables(
     shown, error = capsys.readouterr()
     whole = (tmp_path / "soil_table.md").read_text()
     assert whole.startswith(f"{BEGINNING}\n")
-    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
+    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""
     lines = [line for line in whole.splitlines() if line.startswith("|")]

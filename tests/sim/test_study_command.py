@@ -23,7 +23,7 @@ from trackslip_sim.study.slip.parameters import Cell, cells, load_study_paramete
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
-from trackslip_tools.terminal_text import WIDTH, for_terminal
+from trackslip_tools.terminal_text import WIDTH, format_for_terminal
 
 KEYS = {
     *("truth", "soil", "filter", "sigma_xy", "sigma_omega", "seeds"),
@@ -67,7 +67,7 @@ def test_command_writes_rows_table_and_figures(
     shown, error = capsys.readouterr()
     whole = (tmp_path / "study_table.md").read_text()
     assert whole.startswith(f"{BEGINNING}\n")
-    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
+    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error.removeprefix(f"{DESK_TEXT}\n") == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}

@@ -28,7 +28,7 @@ from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.output import LOGS, Results, claim
 from trackslip_sim.demo.processes import Processes, end_with_parent
-from trackslip_tools.cli.progress import shown
+from trackslip_tools.cli.progress import iterate_with_bar
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "soak"
@@ -78,7 +78,9 @@ def _soak(duration_s: float, speed: float) -> int:
         graph = Graph(fast, slow, playing)
         samples: list[Sample] = []
         try:
-            for sample in shown(_samples(monitor, graph, duration_s), "soak", total=_looks(duration_s)[0]):
+            for sample in iterate_with_bar(
+                _samples(monitor, graph, duration_s), "soak", total=_looks(duration_s)[0]
+            ):
                 samples.append(sample)
             interrupted = False
         except KeyboardInterrupt:  # the page covers the samples so far

@@ -20,10 +20,10 @@ from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
 from trackslip_estimation.slip.update import observe
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
-from trackslip_tools.calibration.finding import Finding, found
+from trackslip_tools.calibration.finding import Finding, make_finding
 from trackslip_tools.calibration.output import summary, text, write_parameters
-from trackslip_tools.calibration.recording import Recording, Series, motions
-from trackslip_tools.calibration.regression import Increments, clustered, of_increments
+from trackslip_tools.calibration.recording import Recording, Series, motion_states
+from trackslip_tools.calibration.regression import Increments, fit_clustered, fit_increments
 
 P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")
@@ -85,7 +85,7 @@ def recorded(made: Made, seed: int) -> Recording:
         Series(at, turned + rng.normal(0.0, made.gyro_noise, turned.shape)),
         Series(fixed, np.column_stack((poses, claimed))),
         Series(t, np.column_stack((pressures, commands / 3.0))),
-        motions(sprockets, P.motion),
+        motion_states(sprockets, P.motion),
     )
 
 
@@ -186,7 +186,7 @@ def test_unobservable_parameter_is_refused_with_a_reason(
 ) -> None:
     findings = calibrated(Made(legs=tuple(legs)), 3).findings
     for name in names:
-        assert not findings[name].is_found, name
+        assert not findings[name].has_value, name
         assert findings[name].reason
         assert word in findings[name].reason
 
@@ -196,19 +196,19 @@ def test_missing_sensors_are_refused_too() -> None:
     none = Series(np.empty(0), np.empty((0, 6)))
     deaf = replace(whole, gyro=Series(none.t, np.empty((0, 3))), hydraulics=Series(none.t, np.empty((0, 4))))
     found = calibrate([deaf], P, SOURCES).findings
-    assert {name for name, finding in found.items() if finding.is_found} == {
+    assert {name for name, finding in found.items() if finding.has_value} == {
         "effective_rolling_radius",
         "common_slip",
     }
     lost = calibrate([replace(whole, poses=none)], P, SOURCES).findings
-    assert not lost["gyro_scale"].is_found
-    assert not lost["effective_rolling_radius"].is_found
+    assert not lost["gyro_scale"].has_value
+    assert not lost["effective_rolling_radius"].has_value
     assert "taken as 1" in lost["turning_efficiency"].basis
 
 
 def test_radius_and_slip_are_separated_only_by_an_option() -> None:
     soft, hard = (calibrated(Made(), 5, hard_ground) for hard_ground in (False, True))
-    assert not soft.findings["rolling_radius"].is_found
+    assert not soft.findings["rolling_radius"].has_value
     assert "hard-ground" in soft.findings["rolling_radius"].reason
     assert hard.findings["rolling_radius"].value == soft.findings["effective_rolling_radius"].value
     assert "common_slip" not in hard.findings
@@ -285,9 +285,9 @@ def test_more_bags_narrow_the_intervals() -> None:
     half=st.floats(1e-9, 1e6),
 )
 def test_a_value_is_rounded_to_its_interval(value: float, half: float) -> None:
-    finding = found(value, half, "m", "")
-    assert finding.rounded is not None
-    assert abs(finding.rounded - value) <= 0.051 * half + 1e-9 * abs(value)
+    finding = make_finding(value, half, "m", "")
+    assert finding.rounded_value is not None
+    assert abs(finding.rounded_value - value) <= 0.051 * half + 1e-9 * abs(value)
     digits = half * 10.0**finding.decimals
     assert 9.0 <= digits <= 101.0  # two significant digits
 
@@ -299,7 +299,7 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     write_parameters(path, calibration, ["one", "two"])
     tree = read_yaml(path)
     p = load_slip_parameters(node_parameters(tree, NODE, str(path)))
-    assert p.vehicle.kinematics.rolling_radius == calibration.findings["rolling_radius"].rounded
+    assert p.vehicle.kinematics.rolling_radius == calibration.findings["rolling_radius"].rounded_value
     gyro = p.gyros()["imu/data_raw"]
     assert gyro.sign == -1
     assert gyro.scale == pytest.approx(0.985, abs=0.02)
@@ -328,9 +328,9 @@ def test_jackknife_accounts_for_correlated_errors() -> None:
     clusters = np.repeat(np.arange(30), 20)
     X, hits = np.ones((600, 1)), 0
     for _ in range(200):
-        fit = clustered(X, rng.normal(0.0, 1.0, 30)[clusters] + rng.normal(0.0, 0.1, 600), clusters)
+        fit = fit_clustered(X, rng.normal(0.0, 1.0, 30)[clusters] + rng.normal(0.0, 0.1, 600), clusters)
         assert fit is not None
-        hits += abs(fit.values[0]) <= fit.spread()
+        hits += abs(fit.values[0]) <= fit.half_width()
     assert 180 <= hits <= 199
 
 
@@ -344,12 +344,12 @@ def test_increments_separate_walk_and_reading_noise() -> None:
         y = 2.0 * x + np.cumsum(rng.normal(0.0, 0.05, 80)) + rng.normal(0.0, 0.5, 80)
         claimed = np.ones(79)
         joined = np.arange(79) > 0
-        fit = of_increments(
+        fit = fit_increments(
             np.diff(x)[:, np.newaxis], Increments(np.diff(y), claimed, claimed, claimed, joined)
         )
         assert fit is not None
-        hits += abs(fit.values[0] - 2.0) <= fit.spread()
-        spreads.append(fit.spread())
+        hits += abs(fit.values[0] - 2.0) <= fit.half_width()
+        spreads.append(fit.half_width())
         slopes.append(fit.values[0])
     assert hits >= 88
     assert np.mean(spreads) < 3.0 * np.std(slopes)

@@ -21,7 +21,7 @@ from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
-from trackslip_tools.calibration.recording import Recording, Series, motions
+from trackslip_tools.calibration.recording import Recording, Series, motion_states
 
 P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")
@@ -77,7 +77,7 @@ def recorded(machine: Machine) -> Recording:
         Series(at, rates),
         Series(fixed, np.column_stack((poses, claimed))),
         Series(np.empty(0), np.empty((0, 4))),
-        motions(sprockets, P.motion),
+        motion_states(sprockets, P.motion),
     )
 
 

@@ -183,6 +183,6 @@ def test_an_import_ends_with_distances_turns_and_the_next_command(
 @pytest.mark.parametrize("files", [[], ["a.yaml"], ["a.yaml", "b.yaml"]])
 def test_the_next_command_has_all_parameter_files(files: list[str]) -> None:
     given = Namespace(vehicle="pc05", namespace="", set=["slip_estimator.max_gap=3"], params=files)
-    words = shared_options.stated(given)
+    words = shared_options.next_command_options(given)
     assert words[:4] == ["--vehicle", "pc05", "--set", "slip_estimator.max_gap=3"]
     assert words[4:] == (["--params", *files] if files else [])

@@ -11,9 +11,9 @@ import pytest
 
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli import main as cli
-from trackslip_tools.cli.commands import commands
+from trackslip_tools.cli.commands import installed_commands
 
-COMMANDS = tuple(commands())
+COMMANDS = tuple(installed_commands())
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,7 +37,7 @@ def test_each_ends_with_an_example_that_parses(command: str, capsys: pytest.Capt
     example = help_of(capsys, command).rpartition("example: ")[2]
     program, *arguments = shlex.split(example)
     assert (program, arguments[0]) == ("trackslip", command)
-    assert callable(cli.parse(arguments).run)
+    assert callable(cli.parse_arguments(arguments).run)
 
 
 @pytest.mark.parametrize(

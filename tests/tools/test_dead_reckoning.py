@@ -124,7 +124,7 @@ def test_a_path_between_samples_is_linear_and_unknown_outside() -> None:
     stamps = np.array((EPOCH_NS, EPOCH_NS + 100 * MS), dtype=np.int64)
     path = Path(stamps, np.array(((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))))
     asked = EPOCH_NS + np.array((-1, 0, 25, 100, 101), dtype=np.int64) * MS
-    found = path.at(asked)
+    found = path.poses_at(asked)
     np.testing.assert_allclose(found[1:4], ((0.0, 0.0, 0.0), (0.25, 0.5, 0.75), (1.0, 2.0, 3.0)), atol=1e-9)
     assert np.isnan(found[[0, 4]]).all()
 

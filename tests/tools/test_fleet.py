@@ -29,9 +29,9 @@ from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, load_vehicle, v
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import find_bags, is_folder
-from trackslip_tools.fleet.table import named, text
+from trackslip_tools.fleet.table import named_entries, text
 from trackslip_tools.terminal_text import WIDTH
-from trackslip_tools.workers import workers
+from trackslip_tools.workers import open_workers
 
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"
@@ -187,7 +187,7 @@ def test_the_table_names_what_is_missing_and_fits() -> None:
         Entry("/data/monday/morning/one", ExitCode.BAD_INPUT, "bag cannot be read"),
         Entry("/data/monday/two", ExitCode.FAILED, "no fix came", summary=SUMMARY, distance=12.34),
     ]
-    assert [name for name, _ in named(entries)] == ["morning/one", "two"]
+    assert [name for name, _ in named_entries(entries)] == ["morning/one", "two"]
     shown = text(entries)
     assert "morning/one: bag cannot be read" in shown
     assert "two: no fix came" in shown
@@ -220,21 +220,21 @@ def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]
 
 
 def test_processes_give_results_in_order_with_one_thread_each() -> None:
-    with workers(2, shared=100) as mapped:
+    with open_workers(2, shared=100) as mapped:
         assert list(mapped(square, range(5))) == [(100 + k * k, "1") for k in range(5)]
         with pytest.raises(InputError, match="item 2 is refused"):
             list(mapped(refused, range(5)))
 
 
 def test_killed_worker_is_reported_in_one_line() -> None:
-    with pytest.raises(InputError, match="a process was ended"), workers(2) as mapped:
+    with pytest.raises(InputError, match="a process was ended"), open_workers(2) as mapped:
         list(mapped(end, range(2)))
 
 
 def test_an_interruption_ends_the_processes() -> None:
     previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), workers(2) as mapped:  # noqa: PT012
+        with pytest.raises(KeyboardInterrupt), open_workers(2) as mapped:  # noqa: PT012
             signal.setitimer(signal.ITIMER_REAL, 2.0)
             next(mapped(wait, range(2)))
     finally:

@@ -23,7 +23,7 @@ from trackslip_common.tally import Tally
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.no_estimate import Processed, why_no_estimate
+from trackslip_tools.replay.no_estimate import ProcessingCounts, explain_missing_estimate
 
 TRUTH = drive(40.0)
 PAGE = Path(__file__).parents[2] / "docs" / "import.md"
@@ -200,7 +200,10 @@ def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) 
     rejected.add("imu/data_raw", Outcome.WAITING, 9)
     p = load_slip_parameters({"pose_sources": ["mocap_pose"]})
     with open_bag(bag) as opened:
-        assert why_no_estimate(opened, p, InputFilters(), Processed(Counter(given), rejected)) == reason
+        assert (
+            explain_missing_estimate(opened, p, InputFilters(), ProcessingCounts(Counter(given), rejected))
+            == reason
+        )
 
 
 def test_a_withheld_source_is_named(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,8 +13,8 @@ from trackslip_common.whole_file import write_atomically
 from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.results import Row
-from trackslip_tools.cli.outputs import PAGE, refuse_foreign
-from trackslip_tools.tuning.evidence import BEGINNINGS, JOURNAL, PARAMETERS
+from trackslip_tools.cli.outputs import PAGE_PREFIX, refuse_foreign_file
+from trackslip_tools.tuning.evidence import FILE_PREFIXES, JOURNAL, PARAMETERS
 from trackslip_tools.tuning.journal import Journal
 
 Refuse = Callable[..., str]
@@ -50,7 +50,7 @@ def test_recording_is_not_replaced_by_a_report(bag: Path, tmp_path: Path, refuse
     assert other.read_bytes() == content
 
 
-@pytest.mark.parametrize("name", BEGINNINGS)
+@pytest.mark.parametrize("name", FILE_PREFIXES)
 def test_parameters_of_the_user_are_not_replaced_by_tuned_ones(
     bag: Path, tmp_path: Path, refuse: Refuse, name: str
 ) -> None:
@@ -105,12 +105,12 @@ def test_tables_and_figures_of_the_user_are_not_replaced_by_a_study(
 
 def test_earlier_results_and_empty_files_are_replaced(tmp_path: Path) -> None:
     before = tmp_path / "report.html"
-    for content in (f"{PAGE} -->", "", PAGE):
+    for content in (f"{PAGE_PREFIX} -->", "", PAGE_PREFIX):
         before.write_text(content, encoding="utf-8")
-        refuse_foreign("output", before, PAGE)
+        refuse_foreign_file("output", before, PAGE_PREFIX)
     for path in (Path(os.devnull), tmp_path / "new.html", tmp_path):
-        refuse_foreign("output", path, PAGE)
-    assert set(BEGINNINGS) > {PARAMETERS}
+        refuse_foreign_file("output", path, PAGE_PREFIX)
+    assert set(FILE_PREFIXES) > {PARAMETERS}
 
 
 def test_journal_refuses_a_file_of_the_user(tmp_path: Path) -> None:

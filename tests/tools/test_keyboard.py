@@ -19,10 +19,10 @@ from trackslip_tools.cli.publish import Keyboard
 before = termios.tcgetattr(0)
 text = ""
 with Keyboard() as keyboard:
-    assert keyboard.typed() == ""
+    assert keyboard.read_keys() == ""
     print("ready", flush=True)
     while not text.endswith("q"):
-        text += keyboard.typed()
+        text += keyboard.read_keys()
         time.sleep(0.01)
 print("typed", repr(text), termios.tcgetattr(0) == before, flush=True)
 """
@@ -53,4 +53,4 @@ def test_keys_act_without_enter_and_the_terminal_is_restored() -> None:
 def test_pipe_gives_no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("   "))
     with Keyboard() as keyboard:
-        assert keyboard.typed() == ""
+        assert keyboard.read_keys() == ""

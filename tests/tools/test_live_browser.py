@@ -14,7 +14,7 @@ from fixtures import live_messages as messages
 from fixtures.browser import EVIL, WIDTHS, OpenPage, scroll_with_a_finger
 
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_tools.live.page import File, files
+from trackslip_tools.live.page import ServedFile, page_files
 from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
@@ -39,13 +39,13 @@ SINCE = r"no data since \d\d:\d\d:\d\d \(\d+ s\)"
 class Machine:
     """A driving machine with a page server; nodes in ``quiet`` send no diagnostics."""
 
-    def __init__(self, pages: dict[str, File], port: int = 0, name: str = "can_driver") -> None:
+    def __init__(self, pages: dict[str, ServedFile], port: int = 0, name: str = "can_driver") -> None:
         self.state = LiveState(f"a test of {EVIL}", load_vehicle())
         self.quiet: set[str] = set()
         self.sent: Callable[[dict[str, Any]], dict[str, Any]] = lambda frame: frame  # may replace a frame
         self.name = name
         self.server = PageServer(
-            pages, self.state.whole, LiveParameters(host="127.0.0.1", port=port, origins=())
+            pages, self.state.full_state, LiveParameters(host="127.0.0.1", port=port, origins=())
         )
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._drive, daemon=True)
@@ -69,17 +69,17 @@ class Machine:
                 if node not in self.quiet:
                     status = messages.diagnostics(node, level, f"reason {EVIL}", **{"rate (Hz)": "100.0"})
                     self.state.process("diagnostics", status, now_s)
-            if frame := self.sent(self.state.tick(now_s, 1e3 * time.time())):
+            if frame := self.sent(self.state.next_frame(now_s, 1e3 * time.time())):
                 self.server.push(frame)
 
 
 @pytest.fixture(scope="module")
-def pages() -> dict[str, File]:
-    return files(f"Trackslip: {EVIL}")
+def pages() -> dict[str, ServedFile]:
+    return page_files(f"Trackslip: {EVIL}")
 
 
 @pytest.fixture
-def machine(pages: dict[str, File]) -> Iterator[Machine]:
+def machine(pages: dict[str, ServedFile]) -> Iterator[Machine]:
     made = Machine(pages)
     yield made
     made.stop()
@@ -176,7 +176,7 @@ def test_the_light_of_a_node_that_ends_turns(opened: Any, machine: Machine, comp
 
 
 def test_page_is_grey_without_its_server_and_reconnects(
-    opened: Any, machine: Machine, pages: dict[str, File]
+    opened: Any, machine: Machine, pages: dict[str, ServedFile]
 ) -> None:
     page = opened(390)
     coloured = set(page.evaluate(COLOURS))
@@ -217,7 +217,7 @@ def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
 def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, complaints: list[str]) -> None:
     page = opened(390)
     follows(page, 20)
-    ended = machine.state.hold("end of the bag")
+    ended = machine.state.final_frame("end of the bag")
     numbers = itertools.count(ended["number"] + 1000)
     machine.sent = lambda _: ended | {"number": next(numbers)}
     page.wait_for_selector("#link >> text=end of the bag")

@@ -22,7 +22,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.cli import main as cli
-from trackslip_tools.cli.live_command import with_estimates
+from trackslip_tools.cli.live_command import bag_with_estimates
 from trackslip_tools.live.bag import BagFeed
 from trackslip_tools.live.state import PERIOD, LiveState
 
@@ -60,14 +60,14 @@ def test_address_is_refused_before_the_bag_is_replayed(capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_bag_with_sensors_only_is_shown_with_replayed_estimates() -> None:
-    with open_bag(BAG) as bag, with_estimates(bag) as whole:
+    with open_bag(BAG) as bag, bag_with_estimates(bag) as whole:
         state = LiveState("a test", load_vehicle())
         feed = BagFeed(whole, state, 1.0, InputFilters(start_s=8.0))
         wall_s, frames = 100.0, []
-        while not feed.finished:
+        while not feed.is_finished:
             frames.append(feed.advance(wall_s))
             wall_s += 0.5
-    shown = json.loads(json.dumps(state.whole(), allow_nan=False))
+    shown = json.loads(json.dumps(state.full_state(), allow_nan=False))
     assert len(frames) == pytest.approx((bag.duration_s - 8.0) / 0.5, abs=3)
     assert len(shown["trail"]) >= 1
     assert shown["fixes"]
@@ -82,7 +82,7 @@ def test_bag_with_sensors_only_is_shown_with_replayed_estimates() -> None:
     assert frame["number"] == last["number"] + 20
     assert (frame["time"], frame["lights"]) == (last["time"], last["lights"])
     assert all(frame["facts"][name] == text for name, text in last["facts"].items() if text != "–")
-    later = state.whole()
+    later = state.full_state()
     assert later["ended"] == frame["ended"]
     for name in ("times", "rows", "trail", "fixes", "events"):
         assert json.dumps(later[name]) == json.dumps(shown[name])
@@ -90,7 +90,7 @@ def test_bag_with_sensors_only_is_shown_with_replayed_estimates() -> None:
 
 @pytest.mark.slow
 def test_page_over_a_bag_uses_the_vehicle_option(capsys: pytest.CaptureFixture[str]) -> None:
-    with open_bag(BAG) as bag, with_estimates(bag, "excavator_20t") as whole:
+    with open_bag(BAG) as bag, bag_with_estimates(bag, "excavator_20t") as whole:
         state = LiveState("a test", load_vehicle("excavator_20t"), keeps_vehicle=True)
         feed = BagFeed(whole, state, 1000.0, InputFilters())
         frame: dict[str, Any] = {}
@@ -103,11 +103,11 @@ def test_page_over_a_bag_uses_the_vehicle_option(capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:
     """The laser of this drive is unplugged for 8 s."""
-    with open_bag(BAG.with_name("outage_sandy_loam")) as bag, with_estimates(bag) as whole:
+    with open_bag(BAG.with_name("outage_sandy_loam")) as bag, bag_with_estimates(bag) as whole:
         state = LiveState("a test", load_vehicle())
         feed = BagFeed(whole, state, 1.0, InputFilters())
         wall_s, reported = 100.0, []
-        while not feed.finished:
+        while not feed.is_finished:
             reported += [(wall_s - 100.0, text) for *_, text in feed.advance(wall_s)["events"]]
             wall_s += 0.25
     fixes = [(at_s, text) for at_s, text in reported if text.startswith("fix")]

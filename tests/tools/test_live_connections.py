@@ -16,15 +16,15 @@ import pytest
 from fixtures.patience import PATIENCE, wait_for
 
 from trackslip_tools.live import connections
-from trackslip_tools.live.connections import MOST
-from trackslip_tools.live.page import File
+from trackslip_tools.live.connections import MAX_CONNECTIONS
+from trackslip_tools.live.page import ServedFile
 from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import PageServer, ServerLog
 
 Connect = Callable[..., socket.socket]
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1"
 LARGE = 10_000_000  # bytes, more than the buffers of a socket
-FILES = {"": File("text/html", b"<p>page</p>"), "large": File("text/plain", b"x" * LARGE)}
+FILES = {"": ServedFile("text/html", b"<p>page</p>"), "large": ServedFile("text/plain", b"x" * LARGE)}
 
 
 @pytest.fixture
@@ -142,9 +142,9 @@ def test_connection_with_an_unread_answer_is_closed(
 def test_new_connections_replace_the_oldest(path: str, server: PageServer, connect: Connect) -> None:
     sent = asking(server, path) if path else HALF
     clients = []
-    for _ in range(MOST + 40):
+    for _ in range(MAX_CONNECTIONS + 40):
         clients.append(connect(server, sent))
-        assert server.counts["connections"] <= MOST
+        assert server.counts["connections"] <= MAX_CONNECTIONS
         if len(clients) % 20 == 0:
             assert status(server) == 200
     assert is_closed(clients[0])
@@ -154,7 +154,7 @@ def test_new_connections_replace_the_oldest(path: str, server: PageServer, conne
 def test_half_sent_requests_do_not_replace_whole_ones(server: PageServer, connect: Connect) -> None:
     good = connect(server, asking(server, "/large"))
     start = good.recv(100)
-    for _ in range(MOST + 40):
+    for _ in range(MAX_CONNECTIONS + 40):
         connect(server, HALF)
     received = len(start)
     while received < LARGE:
@@ -167,9 +167,9 @@ def test_streams_of_pages_count_and_are_kept(server: PageServer, connect: Connec
     key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
     page = connect(server, asking(server, "/stream", **upgrade, **key))
     wait_for(lambda: server.pages == 1)
-    for _ in range(MOST + 40):
+    for _ in range(MAX_CONNECTIONS + 40):
         connect(server, HALF)
-    wait_for(lambda: server.counts["connections"] == MOST)
+    wait_for(lambda: server.counts["connections"] == MAX_CONNECTIONS)
     assert server.pages == 1
     server.push({"number": 12345})
     seen = b""

@@ -7,11 +7,11 @@ import math
 import pytest
 from fixtures.live_messages import diagnostics
 
-from trackslip_tools.report.lights import MOST, SILENT_S, Level, Lights, statuses_of
+from trackslip_tools.report.lights import MAX_LIGHTS, SILENT_S, Level, Lights, statuses_of
 
 
 def lit(lights: Lights, now_s: float) -> dict[str, tuple[Level, str]]:
-    return {light.name: (light.level, light.message) for light in lights.at(now_s)}
+    return {light.name: (light.level, light.message) for light in lights.lights_at(now_s)}
 
 
 def receive(
@@ -47,7 +47,7 @@ def test_age_is_that_of_the_reading_and_grows_between_reports() -> None:
     lights.update(statuses_of(diagnostics("can_driver")), 0.0)
     values = {"rate (Hz)": "99.8", "age (s)": "0.30"}
     lights.update(statuses_of(diagnostics("can_driver", 0, "running", **values)), 5.0)
-    (light,) = lights.at(5.5)
+    (light,) = lights.lights_at(5.5)
     assert light.rate == 99.8
     assert light.age == pytest.approx(0.8)
 
@@ -56,7 +56,7 @@ def test_age_is_that_of_the_reading_and_grows_between_reports() -> None:
 def test_malformed_rate_is_ignored(text: str) -> None:
     lights = Lights()
     lights.update(statuses_of(diagnostics("odd", 0, "running", **{"rate (Hz)": text})), 0.0)
-    assert math.isnan(lights.at(0.0)[0].rate)
+    assert math.isnan(lights.lights_at(0.0)[0].rate)
 
 
 def test_part_no_longer_reported_disappears() -> None:
@@ -84,11 +84,11 @@ def test_rclpys_levels_are_bytes() -> None:
 
 def test_many_names_and_long_texts_stay_bounded() -> None:
     lights = Lights()
-    for k in range(10 * MOST):
+    for k in range(10 * MAX_LIGHTS):
         receive(lights, 0.0, f"node_{k}\x1b[2J", 99, "x" * 100_000)
-    shown = lights.at(0.0)
-    assert len(shown) == MOST
-    assert lights.left_out == 9 * MOST
+    shown = lights.lights_at(0.0)
+    assert len(shown) == MAX_LIGHTS
+    assert lights.left_out == 9 * MAX_LIGHTS
     assert max(len(light.message) for light in shown) < 200
     assert all(light.name.isprintable() for light in shown)
     assert {light.level for light in shown} == {Level.ERROR}

@@ -15,11 +15,14 @@ from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from trackslip_common.errors import InputError
-from trackslip_tools.live.page import File
+from trackslip_tools.live.page import ServedFile
 from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import MOST_PAGES, PageServer
 
-FILES = {"": File("text/html; charset=utf-8", b"<p>page</p>"), "live.js": File("text/javascript", b"1")}
+FILES = {
+    "": ServedFile("text/html; charset=utf-8", b"<p>page</p>"),
+    "live.js": ServedFile("text/javascript", b"1"),
+}
 LOCAL = LiveParameters(host="127.0.0.1", port=0, origins=())
 
 
@@ -156,15 +159,15 @@ def test_wildcard_address_requires_an_origin(host: str) -> None:
     with pytest.raises(InputError, match="origin"):
         PageServer(FILES, dict, LiveParameters(host=host, port=0, origins=()))
     p = LiveParameters(host=host, port=0, origins=("Digger.local", "192.168.4.1:80", "[fe80::1]"))
-    assert p.allowed(5006) == {"digger.local:5006", "192.168.4.1:80", "[fe80::1]:5006"}
+    assert p.allowed_hosts(5006) == {"digger.local:5006", "192.168.4.1:80", "[fe80::1]:5006"}
 
 
 @pytest.mark.parametrize("origin", ["http://digger.local", "*", "digger.local/", "a b", "user@host"])
 def test_malformed_origin_is_refused(origin: str) -> None:
     with pytest.raises(InputError, match="accepted"):
-        LiveParameters(host="127.0.0.1", port=0, origins=(origin,)).allowed(1)
+        LiveParameters(host="127.0.0.1", port=0, origins=(origin,)).allowed_hosts(1)
 
 
 def test_specific_address_is_its_own_origin() -> None:
-    assert LiveParameters(host="192.168.4.1", port=0, origins=()).allowed(80) == {"192.168.4.1:80"}
-    assert LiveParameters(host="::1", port=0, origins=()).allowed(80) == {"[::1]:80"}
+    assert LiveParameters(host="192.168.4.1", port=0, origins=()).allowed_hosts(80) == {"192.168.4.1:80"}
+    assert LiveParameters(host="::1", port=0, origins=()).allowed_hosts(80) == {"[::1]:80"}

@@ -16,10 +16,10 @@ from trackslip_common.config_files import parameters_text
 from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_tools.live import strips
 from trackslip_tools.live.state import MOST_POINTS, PERIOD, LiveState, Trail
-from trackslip_tools.live.strips import LINES, SHOWN, Strips
+from trackslip_tools.live.strips import LINES, PANELS, Strips
 
-LEFT_SLIP = next(k for k, line in enumerate(LINES) if SHOWN[line.panel].title == "Slip of the left track")
-PERCENT = SHOWN[LINES[LEFT_SLIP].panel].scale
+LEFT_SLIP = next(k for k, line in enumerate(LINES) if PANELS[line.panel].title == "Slip of the left track")
+PERCENT = PANELS[LINES[LEFT_SLIP].panel].scale
 
 
 def as_json(frame: dict[str, Any]) -> Any:
@@ -37,7 +37,7 @@ def drive(state: LiveState, ticks: int, speed: float = 0.4) -> list[Any]:
         now_s = PERIOD * k
         state.process("odometry", messages.odometry(speed * now_s, 0.0), now_s)
         state.process("track_slip", messages.track_slip(0.2, -0.02), now_s)
-        frames.append(as_json(state.tick(now_s, 1000.0 * now_s)))
+        frames.append(as_json(state.next_frame(now_s, 1000.0 * now_s)))
     return frames
 
 
@@ -54,12 +54,12 @@ def test_a_frame_has_the_newest_point_of_each_curve(state: LiveState) -> None:
 def test_heading_with_a_large_deviation_is_shown_as_unknown(state: LiveState) -> None:
     for stddev, shown in ((0.1, "0.0° ± 11.5"), (19.2, "unknown")):
         state.process("odometry", messages.odometry(0.0, 0.0, variance=stddev**2), 0.0)
-        assert state.tick(0.0, 0.0)["facts"]["heading"] == shown
+        assert state.next_frame(0.0, 0.0)["facts"]["heading"] == shown
 
 
 def test_the_whole_is_the_sum_of_the_frames(state: LiveState) -> None:
     frames = drive(state, 40)
-    whole = as_json(state.whole())
+    whole = as_json(state.full_state())
     assert whole["number"] == frames[-1]["number"]
     assert whole["rows"] == [frame["row"] for frame in frames]
     assert whole["trail"] == [frame["path"] for frame in frames if "path" in frame]
@@ -67,34 +67,34 @@ def test_the_whole_is_the_sum_of_the_frames(state: LiveState) -> None:
 
 
 def test_before_the_first_frame_there_is_nothing_to_show(state: LiveState) -> None:
-    assert state.whole() == {}
+    assert state.full_state() == {}
 
 
 def test_slips_are_not_shown_at_standstill(state: LiveState) -> None:
     state.process("odometry", messages.odometry(0.0, 0.0), 0.0)
     state.process("track_slip", messages.track_slip(0.5, 0.5, motion_state=1), 0.0)
-    frame = as_json(state.tick(0.0, 0.0))
+    frame = as_json(state.next_frame(0.0, 0.0))
     assert frame["row"][LEFT_SLIP] == [None, None, None]
     assert frame["facts"]["motion"] == "standing"
 
 
 def test_outdated_values_are_not_shown(state: LiveState) -> None:
     drive(state, 2)
-    assert state.tick(60.0, 60e3)["facts"]["position"] == "–"
-    assert state.tick(60.0, 60e3)["outlines"]["machine"] == ([], [])
+    assert state.next_frame(60.0, 60e3)["facts"]["position"] == "–"
+    assert state.next_frame(60.0, 60e3)["outlines"]["machine"] == ([], [])
 
 
 def test_last_values_stay_at_the_end_of_the_input(state: LiveState) -> None:
     *_, last = drive(state, 2)
-    assert state.tick(60.0, 60e3)["facts"]["position"] == "–"
-    before = as_json(state.whole())
+    assert state.next_frame(60.0, 60e3)["facts"]["position"] == "–"
+    before = as_json(state.full_state())
     for number in range(before["number"] + 1, before["number"] + 4):
-        frame = as_json(state.hold("end of the bag"))
+        frame = as_json(state.final_frame("end of the bag"))
         assert (frame["number"], frame["time"], frame["ended"]) == (number, 60_000, "end of the bag")
         for name in ("facts", "row", "outlines"):
             assert frame[name] == last[name]
         assert frame["events"] == []
-    after = as_json(state.whole())
+    after = as_json(state.full_state())
     assert after["ended"] == "end of the bag"
     for name in ("times", "rows", "trail", "events"):
         assert after[name] == before[name]
@@ -117,11 +117,11 @@ def test_malformed_vehicle_is_an_event(state: LiveState) -> None:
 def test_soil_and_fixes_are_shown(state: LiveState) -> None:
     state.process("soil", messages.soil(sand=0.7, clay=0.2, loam=0.06, peat=0.04), 0.0)
     state.process("box_pose", messages.fix(1.0, 2.0), 0.0)
-    frame = as_json(state.tick(0.0, 0.0))
+    frame = as_json(state.next_frame(0.0, 0.0))
     assert frame["classes"] == [["sand", 0.7, True], ["clay", 0.2, False], ["loam", 0.06, False]]
     assert frame["new_fixes"] == [[1.0, 2.0]]
     assert len(frame["outlines"]["box"][0]) == 5
-    assert "new_fixes" not in state.tick(0.1, 0.1)
+    assert "new_fixes" not in state.next_frame(0.1, 0.1)
 
 
 def parameters(**named: float) -> Any:
@@ -136,7 +136,7 @@ def test_fixes_of_any_source_are_drawn(state: LiveState, source: str) -> None:
     state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
     assert source in state.pose_sources
     state.process(source, messages.fix(3.0, 4.0), 0.0)
-    assert as_json(state.tick(0.0, 0.0))["new_fixes"] == [[3.0, 4.0]]
+    assert as_json(state.next_frame(0.0, 0.0))["new_fixes"] == [[3.0, 4.0]]
 
 
 def test_silent_source_is_reported_as_lost_and_then_as_back(state: LiveState) -> None:
@@ -145,7 +145,7 @@ def test_silent_source_is_reported_as_lost_and_then_as_back(state: LiveState) ->
     for now_s in (-0.5, 0.0, 1.9, 2.1, 9.0, 12.0):
         if now_s in (-0.5, 0.0, 12.0):
             state.process("rtk", messages.fix(0.0, 0.0), now_s)
-        reported += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
+        reported += [(now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]]
     assert reported == [(2.1, "fix lost: rtk"), (12.0, "fix back: rtk")]
 
 
@@ -155,10 +155,10 @@ def test_a_source_slower_than_its_timeout_is_lost_after_three_periods(state: Liv
     for now_s in (0.0, 1.05, 2.1, 3.15, 4.2, 5.2, 7.2, 7.4):
         if now_s <= 4.2:
             reported += [
-                (now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]
+                (now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]
             ]  # before the next fix
             state.process("rtk", messages.fix(0.0, 0.0), now_s)
-        reported += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
+        reported += [(now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]]
     assert reported == [(7.4, "fix lost: rtk")]
 
 
@@ -166,7 +166,7 @@ def test_lost_fix_is_not_reported_beside_diagnostics_of_the_estimator(state: Liv
     state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
     state.process("rtk", messages.fix(0.0, 0.0), 0.0)
     state.process("diagnostics", messages.diagnostics("slip_estimator"), 3.0)
-    assert state.tick(3.0, 0.0)["events"] == []
+    assert state.next_frame(3.0, 0.0)["events"] == []
 
 
 @pytest.mark.parametrize(
@@ -176,12 +176,12 @@ def test_malformed_parameters_have_no_effect(state: LiveState, text: str) -> Non
     known = state.pose_sources
     state.process("slip_estimator/parameters", make("std_msgs/msg/String", data=text), 0.0)
     assert state.pose_sources == known
-    as_json(state.tick(0.0, 0.0))
+    as_json(state.next_frame(0.0, 0.0))
 
 
 def test_position_too_far_to_be_rounded_is_not_drawn(state: LiveState) -> None:
     state.process("odometry", messages.odometry(0.0, 1e307), 0.0)
-    assert as_json(state.tick(0.0, 0.0))["outlines"]["machine"] == [[], []]
+    assert as_json(state.next_frame(0.0, 0.0))["outlines"]["machine"] == [[], []]
 
 
 def test_a_message_of_another_type_is_refused(state: LiveState) -> None:
@@ -209,17 +209,17 @@ def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], te
     state.process("diagnostics", messages.diagnostics(text, 2, text, **{"rate (Hz)": str(values[2])}), 0.0)
     for topic in ("vehicle", "slip_estimator/parameters"):
         state.process(topic, make("std_msgs/msg/String", data=text), 0.0)
-    as_json(state.tick(0.0, 0.0))
-    as_json(state.whole())
+    as_json(state.next_frame(0.0, 0.0))
+    as_json(state.full_state())
 
 
 @pytest.mark.slow
 def test_memory_of_the_state_is_bounded(state: LiveState) -> None:
     ticks = strips.ROWS + 50
     drive(state, ticks, speed=40.0)
-    early = len(json.dumps(state.whole()))
+    early = len(json.dumps(state.full_state()))
     drive(state, 2 * ticks, speed=40.0)
-    assert len(json.dumps(state.whole())) < 1.1 * early
+    assert len(json.dumps(state.full_state())) < 1.1 * early
 
 
 @pytest.mark.parametrize("most", [10, MOST_POINTS])
@@ -228,7 +228,7 @@ def test_a_path_keeps_its_shape_when_points_are_dropped(most: int) -> None:
     for k in range(20 * most):
         kept.add(0.1 * k, 0.0)
     assert most // 2 <= len(kept.points) <= most
-    assert kept.thinned > 0
+    assert kept.thinning_count > 0
     gaps = np.diff([x for x, _ in kept.points])
     assert gaps.max() < 2.5 * gaps.min()
     assert kept.points[0] == (0.0, 0.0)
@@ -238,8 +238,8 @@ def test_strips_have_the_panels_of_the_report() -> None:
     made = Strips(5)
     for k in range(8):
         made.add(float(k), {})
-    times, values = made.whole()
+    times, values = made.stored_rows()
     assert times.tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
     assert np.isnan(values).all()
-    assert [panel.title for panel in made.panels()] == [shown.title for shown in SHOWN]
+    assert [panel.title for panel in made.panels()] == [shown.title for shown in PANELS]
     assert sum(len(panel.curves) for panel in made.panels()) == len(LINES)

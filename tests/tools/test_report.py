@@ -24,7 +24,7 @@ from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
 from trackslip_tools.report.path_plot import boxes, ellipses, path_plot
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.tables import differing, parameter_rows, topic_rows
+from trackslip_tools.report.tables import differing_rows, parameter_rows, topic_rows
 from trackslip_tools.report.verdict import load_limits
 
 MS = 1_000_000
@@ -69,7 +69,7 @@ def test_slips_are_drawn_beside_the_truth_while_moving(run: Run) -> None:
     both = np.interp(estimate.times, truth.times, truth.values)
     later = estimate.times > 12.0
     assert run.states is not None
-    assert run.states.moving[later].all()
+    assert run.states.is_moving[later].all()
     assert np.sqrt(np.nanmean((estimate.values - both)[later] ** 2)) < 10.0  # %
     assert estimate.band is not None
     low, high = estimate.band
@@ -176,8 +176,8 @@ def test_a_comparison_shows_the_parameters_that_differ(
     other = run_over(emulated_bag, "other", gate_probability=0.9)
     rows = parameter_rows([run, other])
     assert len(rows) > 50
-    assert [row[0] for row in differing(rows)] == ["slip_estimator.gate_probability"]
-    assert differing(rows)[0][2:] == ("0.9999", "0.9999", "0.9")
+    assert [row[0] for row in differing_rows(rows)] == ["slip_estimator.gate_probability"]
+    assert differing_rows(rows)[0][2:] == ("0.9999", "0.9999", "0.9")
     labels = {curve.label for panel in motion_panels([run, other]) for curve in panel.curves}
     assert labels == {"truth", "a run", "other"}
 

@@ -17,7 +17,7 @@ from trackslip_tools.report.lights import Level
 from trackslip_tools.report.page import render
 from trackslip_tools.report.recording import Recording
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.spells import Spell
+from trackslip_tools.report.spells import StateInterval
 from trackslip_tools.report.verdict import load_limits
 
 DRAWN = "document.documentElement.dataset.drawn === 'all' && Bokeh.documents[0].is_idle"
@@ -57,7 +57,7 @@ def hostile(recording: Recording) -> Recording:
         recording,
         path=f"{EVIL}{ENDING}",
         timings={**recording.timings, **dict.fromkeys(names, timing)},
-        lights={name: [Spell(1.0, 40.0, int(Level.ERROR), f"{EVIL}{MATHS}")] for name in names},
+        lights={name: [StateInterval(1.0, 40.0, int(Level.ERROR), f"{EVIL}{MATHS}")] for name in names},
         events=[Event(0, 2000.0, Level.ERROR, f"{EVIL}{ENDING}")],
     )
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_tools.report.plots import extremes
+from trackslip_tools.report.plots import extreme_indices
 from trackslip_tools.report.recording import Timing
 
 
 def test_a_short_curve_stays_as_it_is() -> None:
-    assert extremes([np.arange(100.0)], 100).tolist() == list(range(100))
+    assert extreme_indices([np.arange(100.0)], 100).tolist() == list(range(100))
 
 
 @pytest.mark.parametrize("place", [0, 1, 4321, 9998, 9999])
@@ -20,13 +20,13 @@ def test_a_short_curve_stays_as_it_is() -> None:
 def test_a_single_spike_survives_in_any_of_the_curves(place: int, size: float) -> None:
     curves = [np.zeros(10_000), np.zeros(10_000)]
     curves[1][place] = size
-    kept = extremes(curves, 400)
+    kept = extreme_indices(curves, 400)
     assert place in kept
     assert len(kept) <= 400
 
 
 def test_first_and_last_sample_are_kept() -> None:
-    kept = extremes([np.sin(np.arange(5000.0))], 50)
+    kept = extreme_indices([np.sin(np.arange(5000.0))], 50)
     assert kept[0] == 0
     assert kept[-1] == 4999
 
@@ -34,7 +34,7 @@ def test_first_and_last_sample_are_kept() -> None:
 def test_gap_in_a_curve_is_kept() -> None:
     values = np.sin(np.arange(5000.0))
     values[2000:2300] = np.nan
-    kept = extremes([values], 200)
+    kept = extreme_indices([values], 200)
     broken = np.isnan(values[kept])
     assert broken.any()
     assert (np.diff(np.flatnonzero(broken)) == 1).all()  # one gap between two sections
@@ -54,7 +54,7 @@ def test_thinning_keeps_extremes_within_the_limit_and_in_order(
 ) -> None:
     rng = np.random.default_rng(seed)
     curves = [np.where(rng.random(size) < holes, np.nan, rng.normal(size=size)) for _ in range(columns)]
-    kept = extremes(curves, limit)
+    kept = extreme_indices(curves, limit)
     assert len(kept) <= limit
     assert (np.diff(kept) > 0).all()
     assert kept[0] >= 0
@@ -68,10 +68,10 @@ def test_thinning_keeps_extremes_within_the_limit_and_in_order(
 def test_rate_and_loss_of_a_steady_topic() -> None:
     times = np.arange(1000) * 0.01
     lossy = Timing(np.delete(times, np.arange(50, 950, 20)))
-    assert lossy.regular
+    assert lossy.is_regular
     assert lossy.period == pytest.approx(0.01)
-    assert lossy.lost == pytest.approx(45 / 999, rel=1e-6)
-    assert Timing(times).lost == pytest.approx(0.0, abs=1e-9)
+    assert lossy.lost_share == pytest.approx(45 / 999, rel=1e-6)
+    assert Timing(times).lost_share == pytest.approx(0.0, abs=1e-9)
     assert Timing(times).gaps == []
 
 
@@ -80,7 +80,7 @@ def test_a_silence_is_a_gap_with_its_times() -> None:
     timing = Timing(times)
     (gap,) = timing.gaps
     assert gap == pytest.approx((4.9, 7.0))
-    assert timing.longest == pytest.approx(2.1)
+    assert timing.longest_interval == pytest.approx(2.1)
 
 
 @pytest.mark.parametrize(
@@ -88,6 +88,6 @@ def test_a_silence_is_a_gap_with_its_times() -> None:
 )
 def test_topic_without_a_steady_rate_has_no_missing_messages(times: np.ndarray) -> None:
     timing = Timing(times)
-    assert not timing.regular
-    assert np.isnan(timing.lost)
+    assert not timing.is_regular
+    assert np.isnan(timing.lost_share)
     assert timing.gaps == []

@@ -19,7 +19,7 @@ from trackslip_estimation.slip.events import Event as Explaining
 from trackslip_estimation.slip.explanations import AcceptedEvent, CompetingExplanations, Explanation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.cli.report_command import distinct
+from trackslip_tools.cli.report_command import distinct_names
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.headline import Fact, facts_of, travel_of
@@ -27,8 +27,8 @@ from trackslip_tools.report.lights import SILENT_S, Level
 from trackslip_tools.report.motion_panels import motion_panels
 from trackslip_tools.report.plots import plot_text
 from trackslip_tools.report.recording import Timing, read_recording
-from trackslip_tools.report.run import Run, aligned
-from trackslip_tools.report.spells import Spell, spells, total_duration
+from trackslip_tools.report.run import Run, align_runs
+from trackslip_tools.report.spells import StateInterval, state_intervals, total_duration
 from trackslip_tools.report.story import events_of, message_strips, silence_limits, strips
 from trackslip_tools.report.verdict import State, load_limits, verdicts
 
@@ -96,8 +96,8 @@ def test_stalled_and_stuck_tracks_are_named_in_headline_events_and_strip(stalled
     assert (30, "right track getting stuck for 5.0 s") in reported
     (strip,) = strips([stalled_run])
     (left,), (right,) = strip.rows["left track"], strip.rows["right track"]
-    assert (left.look.word, right.look.word) == ("stalled", "getting stuck")
-    assert (left.spell.start, left.spell.stop) == pytest.approx((10.0, 20.0))
+    assert (left.style.label, right.style.label) == ("stalled", "getting stuck")
+    assert (left.interval.start, left.interval.stop) == pytest.approx((10.0, 20.0))
 
 
 def test_lost_fixes_and_gated_fixes_are_events(emulated_run: Run) -> None:
@@ -160,12 +160,12 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     for at_s in range(10, 31):
         found = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
         details.add_explained([CompetingExplanations(zero_ns + at_s * SECOND_NS, found)])
-    happened = [
+    events = [
         AcceptedEvent(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
         AcceptedEvent(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),
         AcceptedEvent(zero_ns + 24 * SECOND_NS, Explaining.RECOVERED, "box_pose", 1.0),
     ]
-    replayed = dataclasses.replace(emulated_run.replay, happened=happened)
+    replayed = dataclasses.replace(emulated_run.replay, accepted_events=events)
     run = dataclasses.replace(emulated_run, details=details, replay=replayed)
     reported = [(event.level, 1e-3 * event.time_ms, event.text) for event in events_of(run)]
     both = "two explanations for 10.0 s: box_pose is 1.0 m off (90 %), the machine was moved (10 %)"
@@ -175,19 +175,19 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     assert not any("outlier" in text for *_, text in reported)
     (strip,) = (strip for strip in strips([run]) if "explanations" in strip.rows)
     (competing, one) = strip.rows["explanations"]
-    assert (competing.look.word, competing.spell.text) == ("explanations compete", both)
-    assert (one.look.word, one.spell.text) == ("explained", "box_pose is 1.0 m off")
-    assert (one.spell.start, one.spell.stop) == pytest.approx((20.0, 24.0))
+    assert (competing.style.label, competing.interval.text) == ("explanations compete", both)
+    assert (one.style.label, one.interval.text) == ("explained", "box_pose is 1.0 m off")
+    assert (one.interval.start, one.interval.stop) == pytest.approx((20.0, 24.0))
 
 
 # Lights
 
 
 def test_spells_are_contiguous_up_to_the_end() -> None:
-    found = spells(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
-    assert found == [Spell(0.0, 2.0, 1), Spell(2.0, 5.0, 2), Spell(5.0, 5.0, 1)]
+    found = state_intervals(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
+    assert found == [StateInterval(0.0, 2.0, 1), StateInterval(2.0, 5.0, 2), StateInterval(5.0, 5.0, 1)]
     assert total_duration(found, 1) == 2.0
-    assert spells(np.empty(0), np.empty(0)) == []
+    assert state_intervals(np.empty(0), np.empty(0)) == []
 
 
 def test_recorded_lights_show_failure_silence_and_recovery_of_a_node() -> None:
@@ -197,11 +197,11 @@ def test_recorded_lights_show_failure_silence_and_recovery_of_a_node() -> None:
         if not 20 <= second < 30:
             level, text = (2, "not connected") if second < 10 else (0, f"{second} frames")
             log.add(diagnostics("sick_pls", level, text), float(second) + 0.6)
-    found = log.spells(40.0)
-    levels = [(spell.state, round(spell.start, 1)) for spell in found["sick_pls"]]
+    found = log.intervals(40.0)
+    levels = [(interval.state, round(interval.start, 1)) for interval in found["sick_pls"]]
     assert [level for level, _ in levels] == [Level.ERROR, Level.OK, Level.SILENT, Level.OK]
     assert levels[2][1] == pytest.approx(19.6 + SILENT_S, abs=1.0)
-    assert [spell.state for spell in found["can_driver"]] == [Level.OK]
+    assert [interval.state for interval in found["can_driver"]] == [Level.OK]
     assert found["can_driver"][0].stop == 40.0
     assert log.events[0].text == "sick_pls: not connected"
 
@@ -209,7 +209,7 @@ def test_recorded_lights_show_failure_silence_and_recovery_of_a_node() -> None:
 def test_lights_are_silent_after_the_last_message() -> None:
     log = LightLog()
     log.add(diagnostics("can_driver"), 1.0)
-    assert [spell.state for spell in log.spells(9.0)["can_driver"]] == [Level.OK, Level.SILENT]
+    assert [interval.state for interval in log.intervals(9.0)["can_driver"]] == [Level.OK, Level.SILENT]
 
 
 def test_a_bag_with_diagnostics_shows_its_lights(tmp_path: Path) -> None:
@@ -222,25 +222,25 @@ def test_a_bag_with_diagnostics_shows_its_lights(tmp_path: Path) -> None:
             bag.write("/elsewhere/diagnostics", "std_msgs/msg/String", text, log_ns)
     with open_bag(tmp_path / "bag") as found:
         recording = read_recording(found, InputFilters(), "digger1")
-    (spell,) = recording.lights["sick_pls"]
-    assert (spell.state, spell.text) == (Level.WARN, "<b>cold</b>")
+    (interval,) = recording.lights["sick_pls"]
+    assert (interval.state, interval.text) == (Level.WARN, "<b>cold</b>")
     assert recording.events == [Event(1, 0.0, Level.WARN, "sick_pls: <b>cold</b>")]
 
 
 def test_the_strip_shows_where_messages_are_missing(emulated_run: Run) -> None:
     (strip,) = message_strips([emulated_run])
     assert list(strip.rows) == list(emulated_run.recording.timings)
-    assert {bar.look.word for bar in strip.rows["sprockets"]} == {"messages"}
+    assert {bar.style.label for bar in strip.rows["sprockets"]} == {"messages"}
 
 
 # Several bags
 
 
 def test_runs_over_two_bags_are_aligned_at_the_start_of_driving(emulated_run: Run) -> None:
-    lit = dataclasses.replace(emulated_run.recording, lights={"a": [Spell(4.0, 6.0, 0)]})
+    lit = dataclasses.replace(emulated_run.recording, lights={"a": [StateInterval(4.0, 6.0, 0)]})
     later = dataclasses.replace(lit, path="later", start_ns=lit.start_ns - 5 * SECOND_NS)
     later = dataclasses.replace(later, zero_ns=later.start_ns)
-    first, second = aligned([emulated_run, dataclasses.replace(emulated_run, recording=later)])
+    first, second = align_runs([emulated_run, dataclasses.replace(emulated_run, recording=later)])
     for run in (first, second):
         speed = next(panel for panel in motion_panels([run]) if panel.title == "Speed")
         moving = speed.curves[1].times[speed.curves[1].values > 0.1]
@@ -253,7 +253,7 @@ def test_runs_over_two_bags_are_aligned_at_the_start_of_driving(emulated_run: Ru
 
 
 def test_runs_over_one_bag_keep_its_times(emulated_run: Run) -> None:
-    assert aligned([emulated_run, emulated_run]) == [emulated_run, emulated_run]
+    assert align_runs([emulated_run, emulated_run]) == [emulated_run, emulated_run]
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_runs_over_one_bag_keep_its_times(emulated_run: Run) -> None:
     ],
 )
 def test_a_bag_is_named_by_what_distinguishes_it(paths: tuple[str, ...], names: tuple[str, ...]) -> None:
-    found = distinct([Path(path) for path in paths])
+    found = distinct_names([Path(path) for path in paths])
     assert tuple(found[Path(path)] for path in paths) == names
 
 

@@ -21,9 +21,9 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.arrivals import ARRIVAL
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.parts import Part
-from trackslip_tools.replay.result import KEPT, Replay
+from trackslip_tools.replay.result import KEPT_ESTIMATE, Replay
 from trackslip_tools.replay.soil import SoilReplay
-from trackslip_tools.replay.withheld import Withheld
+from trackslip_tools.replay.withheld import WithholdResult
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
 from trackslip_tools.report.panel import GREEN, Form
@@ -73,7 +73,7 @@ def consistent_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
     fixes["noise"] = theirs @ theirs
     details = Details()
     details.add(Part(sources, arrivals.ravel(), results.ravel(), {}, []))
-    published = np.zeros(size, KEPT)
+    published = np.zeros(size, KEPT_ESTIMATE)
     return dataclasses.replace(run, replay=Replay(1.0, 1.0, Counter(), published, Tally()), details=details)
 
 
@@ -89,12 +89,12 @@ def test_nis_is_of_accepted_measurements_and_rejected_ones_are_drawn(run: Run) -
     consistent = consistent_run(run)
     found = innovations_of(consistent)["box_pose"]
     assert found.mean_ratio == pytest.approx(1.0, abs=0.1)
-    assert found.refused.sum() == 600
+    assert found.gated.sum() == 600
     (panel,) = (p for p in innovation_panels([consistent]) if p.title.startswith("box_pose: squared"))
     by_label = {curve.label: curve for curve in panel.curves}
-    refused = by_label["refused"]
-    assert refused.form is Form.CROSSES
-    np.testing.assert_allclose(refused.values, 500.0 / 3.0)
+    rejected = by_label["refused"]
+    assert rejected.form is Form.CROSSES
+    np.testing.assert_allclose(rejected.values, 500.0 / 3.0)
     np.testing.assert_allclose(by_label["gate"].values, 21.1 / 3.0)
     expected, mean = by_label["expected, 95 %"], by_label["mean of 25"]
     assert expected.colour == GREEN
@@ -189,7 +189,7 @@ def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
     soil = SoilReplay(load_soil_parameters(), rejected=refusing(("hydraulics", Outcome.INVALID)))
     assert "Share not used" in words(changed(run, rejected=Tally(), soil=soil))
     filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
-    withheld = changed(run, rejected=Tally(), withheld=[Withheld(filters.withhold[0], 5, None, None)])
+    withheld = changed(run, rejected=Tally(), withheld=[WithholdResult(filters.withhold[0], 5, None, None)])
     output = words(dataclasses.replace(withheld, filters=filters))
     assert output == "Every replayed measurement was used. 5 were withheld."
 

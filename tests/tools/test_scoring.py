@@ -101,7 +101,7 @@ def test_the_path_of_estimates_turns_on_through_pi() -> None:
     P = np.eye(3)
     made = path_of(estimates((0, (0, 0, 3.1), P), (100, (1, 0, -3.1), P)))
     assert made.poses[1, 2] == pytest.approx(2 * math.pi - 3.1)
-    assert made.at(stamps(50))[0, 2] == pytest.approx(math.pi)
+    assert made.poses_at(stamps(50))[0, 2] == pytest.approx(math.pi)
 
 
 def test_nees_by_hand() -> None:

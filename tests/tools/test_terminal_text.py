@@ -5,7 +5,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_tools.terminal_text import WIDTH, for_terminal, table, wrapped
+from trackslip_tools.terminal_text import WIDTH, format_for_terminal, table, wrap_line
 
 WORDS = st.lists(st.text("abcxyz0.9", min_size=1, max_size=20), min_size=1, max_size=40)
 
@@ -13,7 +13,7 @@ WORDS = st.lists(st.text("abcxyz0.9", min_size=1, max_size=20), min_size=1, max_
 @given(WORDS)
 def test_a_wrapped_line_fits_and_keeps_its_words(words: list[str]) -> None:
     line = "  " + " ".join(words)
-    lines = wrapped(line).split("\n")
+    lines = wrap_line(line).split("\n")
     assert max(map(len, lines)) <= WIDTH
     assert " ".join(lines).split() == words
     assert all(one.startswith("    ") for one in lines[1:])
@@ -33,7 +33,7 @@ def test_wide_table_is_folded_with_its_keys_and_constant_columns_above() -> None
     heading = f"| soil | σ m | {' | '.join(names)} |"
     rules = f"| --- | ---: | {' | '.join(['---:'] * 5)} |"
     rows = [f"| sand | 0.0{r} | {' | '.join(str(k * 10 + r) for k in range(5))} |" for r in (1, 5)]
-    text = for_terminal("\n".join(["Before.", "", heading, rules, *rows, "", "word " * 40]))
+    text = format_for_terminal("\n".join(["Before.", "", heading, rules, *rows, "", "word " * 40]))
     lines = text.split("\n")
     assert max(map(len, lines)) <= WIDTH
     assert "soil sand" in lines

@@ -109,7 +109,7 @@ def test_bad_input_is_refused_in_one_line(
     options: tuple[str, ...],
     words: str,
 ) -> None:
-    monkeypatch.setattr("trackslip_tools.workers._ANSWERS", 1.0)
+    monkeypatch.setattr("trackslip_tools.workers._SCHEDULER_TIMEOUT_S", 1.0)
     assert tune(emulated_bag, plan, tmp_path / "out", *options) == ExitCode.BAD_INPUT
     *before, error = capsys.readouterr().err.splitlines()
     assert words in error

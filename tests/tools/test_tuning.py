@@ -23,10 +23,10 @@ from trackslip_tools.replay.dead_reckoning import Path as Track
 from trackslip_tools.replay.scoring import nees_of_each, path_of, score
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence
 from trackslip_tools.tuning.journal import Journal
-from trackslip_tools.tuning.plan import Plan, changed
+from trackslip_tools.tuning.plan import Plan, change_parameters
 from trackslip_tools.tuning.task import Job, Score, Task, make_task, score_of
-from trackslip_tools.tuning.tuner import Tuner, Tuning, Work
-from trackslip_tools.workers import workers
+from trackslip_tools.tuning.tuner import ScoreJobs, Tuner, Tuning
+from trackslip_tools.workers import open_workers
 
 SEGMENTS = [
     (4.0, 2.0, 2.0, 0.05, 0.05, 0.0),
@@ -54,8 +54,11 @@ def records(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
     return to_records(found, SlipEstimator(p).sources)
 
 
-def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: Work | None = None) -> Tuning:
-    with Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal, workers(1, shared=tasks) as mapped:
+def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: ScoreJobs | None = None) -> Tuning:
+    with (
+        Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal,
+        open_workers(1, shared=tasks) as mapped,
+    ):
         work = work or partial(mapped, score_of)
         return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
 
@@ -75,7 +78,7 @@ def test_fixes_are_most_likely_with_the_noise_that_they_have(drive: Callable[...
 def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     task = task_of(drive)
     values = {"sources.*.position_floor": 0.1, "noise.slip_moving": 0.02}
-    estimator = SlipEstimator(changed(task.p, values))
+    estimator = SlipEstimator(change_parameters(task.p, values))
     given = sorted(measurements(drive), key=lambda m: m.stamp_ns)
     results = estimator.process_records(records(given, task.p))
     estimates = results["estimate"][results["published"]]

@@ -11,7 +11,7 @@ from fixtures.tuning_plans import plan_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_tools.tuning.plan import changed, read_plan
+from trackslip_tools.tuning.plan import change_parameters, read_plan
 
 
 def test_a_plan_maps_its_unit_cube_onto_the_bounds(tmp_path: Path) -> None:
@@ -20,10 +20,10 @@ def test_a_plan_maps_its_unit_cube_onto_the_bounds(tmp_path: Path) -> None:
     assert plan.values(np.ones(2)) == {"sources.*.position_floor": 2.0, "gate_relaxation": 20.0}
     middle = plan.values(np.full(2, 0.5))
     assert middle == pytest.approx({"sources.*.position_floor": 0.1, "gate_relaxation": 11.0})
-    p = changed(load_slip_parameters(), middle)
+    p = change_parameters(load_slip_parameters(), middle)
     assert p.poses()["box_pose"].position_floor == middle["sources.*.position_floor"]
     np.testing.assert_allclose(plan.shares(p), 0.5)
-    np.testing.assert_allclose(plan.shares(changed(p, {"gate_relaxation": 100.0})), (0.5, 1.0))
+    np.testing.assert_allclose(plan.shares(change_parameters(p, {"gate_relaxation": 100.0})), (0.5, 1.0))
 
 
 def test_the_example_fits_the_parameters_that_there_are() -> None:

@@ -15,7 +15,7 @@ from trackslip_common.vehicle_files import load_vehicle, vehicle_layer
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.sources import HeadingSource, PoseSource, YawRateSource
 from trackslip_tools.cli.main import main
-from trackslip_tools.machine.draft import draft
+from trackslip_tools.machine.draft import draft_vehicle
 
 MOST_BASIC = 15
 
@@ -53,7 +53,7 @@ def test_machine_with_a_box_keeps_the_laser() -> None:
 def test_guesses_from_the_mass_cover_machines_that_are_known(name: str) -> None:
     vehicle = load_vehicle(name)
     assert vehicle.mass is not None
-    made = draft("guessed", {"mass.mass": vehicle.mass.mass})
+    made = draft_vehicle("guessed", {"mass.mass": vehicle.mass.mass})
     for number in ("rolling_radius", "tread", "contact_length"):
         share = made.guessed[f"kinematics.{number}"]
         ratio = getattr(made.vehicle.kinematics, number) / getattr(vehicle.kinematics, number)
@@ -131,4 +131,4 @@ def test_basic_parameters_are_few() -> None:
 
 def test_unknown_number_of_a_draft_is_refused() -> None:
     with pytest.raises(InputError, match="nothing"):
-        draft("made", {"mass.mass": 20000.0, "kinematics.nothing": 1.0})
+        draft_vehicle("made", {"mass.mass": 20000.0, "kinematics.nothing": 1.0})

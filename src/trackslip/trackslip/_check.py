@@ -13,7 +13,7 @@ from trackslip_common.compiling import announce_compilation
 from trackslip_common.errors import collect_output
 from trackslip_common.yaml_tree import section
 from trackslip_estimation.setup_check.finding import Result
-from trackslip_tools.check.bag import check_bag, whole
+from trackslip_tools.check.bag import check_bag, setup_report
 from trackslip_tools.cli import replay_options
 
 
@@ -22,7 +22,7 @@ class SetupCheck(Result):
     """Setup mistakes that explain contradictions between sensors; ``str`` of it is the command's output."""
 
     def __str__(self) -> str:
-        return whole(self)
+        return setup_report(self)
 
 
 def check(

@@ -20,7 +20,7 @@ from trackslip_tools.cli.replay_options import ReplayOptions
 from trackslip_tools.replay import run
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.output import summary, text
-from trackslip_tools.replay.series import in_order
+from trackslip_tools.replay.series import sort_by_stamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +99,13 @@ def replayed(
     """Replay an open bag; ``parameters``: vehicle, files and settings; ``notes``: receives messages."""
     vehicle, params, settings = parameters
     given = params, setting_texts(settings)
-    p, filters, reference = replay_options.setting_of(bag, options, *given, vehicle)
+    p, filters, reference = replay_options.read_settings(bag, options, *given, vehicle)
     of_soil = replay_options.soil_parameters_of(bag, p, *given)
     rows = GrowingRows(ESTIMATE)
     found = run.replay(bag, p, filters, reference, of_soil, lambda part: rows.add(part.estimates))
     remarks = (*([bag.damage] if bag.damage else []), *notes)
     return Result(
-        of_rows(in_order(rows.rows()), datum),
+        of_rows(sort_by_stamp(rows.rows()), datum),
         summary(found, found.elapsed_s),
         of_result(found.setup),
         remarks,

@@ -18,9 +18,9 @@ from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
 from trackslip_tools.cli import shared_options
-from trackslip_tools.cli.elapsed import waited_s
+from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import require_writable, write_json
-from trackslip_tools.cli.progress import counted
+from trackslip_tools.cli.progress import progress_bar
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
 
@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     drive = (
         _recorded(p, pieces, duration, arguments.output) if arguments.output else _driven(pieces, duration)
     )
-    elapsed = waited_s()
+    elapsed = waiting_time_s()
     show(text(p.vehicle.name, drive.truth, elapsed))
     if arguments.output is not None:
         show(f"bag: {arguments.output}")
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:
     """Simulate to the end, with a progress bar; returns the last window."""
-    with counted(duration, "simulating") as advance:
+    with progress_bar(duration, "simulating") as advance:
         window = TruthWindow(_followed(pieces, advance), duration)
         window.advance(duration)
     return window
@@ -93,7 +93,7 @@ def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:
 
 def _recorded(p: EmulatorParameters, pieces: Iterable[Truth], duration: float, path: Path) -> TruthWindow:
     """Simulate and record to the end into a new bag, with a progress bar; returns the last window."""
-    with counted(p.lead_in + duration, "simulating") as advance:
+    with progress_bar(p.lead_in + duration, "simulating") as advance:
         window = TruthWindow(pieces, duration)
         record_drive(p, window, path, advance)
     window.advance(duration)

@@ -11,7 +11,7 @@ _RULE = re.compile(r":?-+:?")
 _GAP = "  "
 
 
-def wrapped(line: str, indent: str = "  ") -> str:
+def wrap_line(line: str, indent: str = "  ") -> str:
     """The line, wrapped between words if longer than WIDTH; continuation lines are indented."""
     if len(line) <= WIDTH:
         return line
@@ -37,9 +37,9 @@ def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence
     parts, left = [above] if above else [], list(range(keys, len(widths)))
     while left or not parts:
         used = list(columns)
-        while left and (len(used) == len(columns) or _span(widths, [*used, left[0]]) <= WIDTH):
+        while left and (len(used) == len(columns) or _total_width(widths, [*used, left[0]]) <= WIDTH):
             used.append(left.pop(0))
-        parts.append("\n".join(_aligned(line, used, widths, right) for line in lines))
+        parts.append("\n".join(_align_cells(line, used, widths, right) for line in lines))
     return "\n\n".join(parts)
 
 
@@ -58,7 +58,7 @@ def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]], keys: 
     return [f"| {' | '.join(line)} |" for line in (first, rule, *others)]
 
 
-def for_terminal(markdown: str) -> str:
+def format_for_terminal(markdown: str) -> str:
     """Markdown with folded tables and wrapped lines.
 
     Key columns of a table are the left-aligned ones (``---`` instead of ``---:``), and the noises σ that
@@ -71,13 +71,13 @@ def for_terminal(markdown: str) -> str:
             block.append(line)
             continue
         if block:
-            found.append(_folded([_cells(one) for one in block]))
+            found.append(_fold_table([_split_cells(one) for one in block]))
             block = []
-        found.append(wrapped(line, ""))
+        found.append(wrap_line(line, ""))
     return "\n".join(found[:-1])
 
 
-def _folded(lines: list[list[str]]) -> str:
+def _fold_table(lines: list[list[str]]) -> str:
     heading, rules, *rows = lines
     if not all(_RULE.fullmatch(rule) for rule in rules):
         return "\n".join(" ".join(line) for line in lines)
@@ -88,15 +88,15 @@ def _folded(lines: list[list[str]]) -> str:
     return table(heading, rows, right, max(keys, 1))
 
 
-def _cells(line: str) -> list[str]:
+def _split_cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def _span(widths: Sequence[int], columns: Sequence[int]) -> int:
+def _total_width(widths: Sequence[int], columns: Sequence[int]) -> int:
     return sum(widths[k] for k in columns) + len(_GAP) * (len(columns) - 1)
 
 
-def _aligned(
+def _align_cells(
     line: Sequence[str], columns: Sequence[int], widths: Sequence[int], right: Sequence[bool]
 ) -> str:
     cells = (line[k].rjust(widths[k]) if right[k] else line[k].ljust(widths[k]) for k in columns)

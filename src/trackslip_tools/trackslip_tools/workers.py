@@ -24,7 +24,7 @@ from trackslip_tools.warm_up import compile_kernels
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_ANSWERS = 10.0  # timeout for a scheduler, s
+_SCHEDULER_TIMEOUT_S = 10.0  # timeout for a scheduler, s
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 _shared: Any = None  # shared data, in a process of a pool
@@ -37,40 +37,40 @@ class Map(Protocol):
         """Yield ``function(shared, item)`` of each item, in order; an exception is raised at its item."""
 
 
-def cores() -> int:
+def core_count() -> int:
     """Number of CPU cores available to this process."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
-def workers(count: int, scheduler: str | None = None, shared: Any = None) -> Iterator[Map]:
+def open_workers(count: int, scheduler: str | None = None, shared: Any = None) -> Iterator[Map]:
     """Context of a ``Map`` over ``count`` processes (1: this one), or over a Dask scheduler's workers.
 
     Raises:
         InputError: no scheduler answers, it has no workers, or a worker ended.
     """
     if scheduler is not None:
-        with _cluster(scheduler, shared) as mapped:
+        with _dask_cluster(scheduler, shared) as mapped:
             yield mapped
     elif count > 1:
-        with _processes(count, shared) as mapped:
+        with _process_pool(count, shared) as mapped:
             yield mapped
     else:
         yield lambda function, items: (function(shared, item) for item in items)
 
 
 @contextmanager
-def _processes(count: int, shared: Any) -> Iterator[Map]:
+def _process_pool(count: int, shared: Any) -> Iterator[Map]:
     """Processes with one thread each; this process compiles the kernels while the others import modules."""
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
-        count, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(shared,)
+        count, multiprocessing.get_context("spawn"), initializer=_initialise_process, initargs=(shared,)
     )
 
     def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         try:
-            with _for_processes():  # for processes that start later
-                futures = [pool.submit(_run, function, item) for item in items]
+            with _process_environment():  # for processes that start later
+                futures = [pool.submit(_call_function, function, item) for item in items]
             yield from _results(futures)
         except BrokenProcessPool as error:
             raise InputError(
@@ -78,7 +78,7 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
             ) from error
 
     try:
-        with _for_processes():
+        with _process_environment():
             for _ in range(count):
                 pool.submit(os.getpid)  # starts a process
         compile_kernels()
@@ -91,13 +91,13 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
     pool.shutdown()
 
 
-def _begin(shared: Any) -> None:
+def _initialise_process(shared: Any) -> None:
     """Initialise a new process of the pool."""
     global _shared  # a pool offers no other way to pass data
     _shared = shared
 
 
-def _run(function: Callable[[Any, Item], Result], item: Item) -> Result:
+def _call_function(function: Callable[[Any, Item], Result], item: Item) -> Result:
     return function(_shared, item)
 
 
@@ -109,7 +109,7 @@ def _results(futures: list["Future[Result]"]) -> Iterator[Result]:
 
 
 @contextmanager
-def _for_processes() -> Iterator[None]:
+def _process_environment() -> Iterator[None]:
     """Processes started within this context have one thread and ignore Ctrl-C: this process ends them.
 
     A Ctrl-C takes effect at the end of the context, even if another thread receives it. A half-started
@@ -141,7 +141,7 @@ def _for_processes() -> Iterator[None]:
 
 
 @contextmanager
-def _cluster(address: str, shared: Any) -> Iterator[Map]:
+def _dask_cluster(address: str, shared: Any) -> Iterator[Map]:
     """Context of a ``Map`` over a scheduler's workers.
 
     The workers need our packages installed. Whoever reaches the scheduler can run code on them.
@@ -149,14 +149,14 @@ def _cluster(address: str, shared: Any) -> Iterator[Map]:
     from distributed import Client, KilledWorker  # takes a second
 
     try:
-        client = Client(address, timeout=_ANSWERS, set_as_default=False)
+        client = Client(address, timeout=_SCHEDULER_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers; accepted: tcp://host:port"
         ) from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=_ANSWERS)
+            client.wait_for_workers(1, timeout=_SCHEDULER_TIMEOUT_S)
             sent = client.scatter([shared], broadcast=True)[0]
         except TimeoutError as error:
             raise InputError(f"--scheduler {address}: it has no workers; accepted: one at least") from error

@@ -58,7 +58,7 @@ def run_commands(lines: Iterable[Sequence[str]]) -> int:
     for line in lines:
         show(f"$ trackslip {shlex.join(line)}")
         begin_command()
-        args = main.parse(line)
+        args = main.parse_arguments(line)
         if (code := int(args.run(args))) != ExitCode.DONE:
             return code
     return int(ExitCode.DONE)

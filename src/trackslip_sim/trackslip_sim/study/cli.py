@@ -19,10 +19,16 @@ from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli import shared_options, worker_options
-from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.outputs import PNG, make_folder, refuse_foreign, require_writable, write_json
-from trackslip_tools.cli.progress import shown
-from trackslip_tools.terminal_text import for_terminal
+from trackslip_tools.cli.elapsed import waiting_time_s
+from trackslip_tools.cli.outputs import (
+    PNG_PREFIX,
+    make_folder,
+    refuse_foreign_file,
+    require_writable,
+    write_json,
+)
+from trackslip_tools.cli.progress import iterate_with_bar
+from trackslip_tools.terminal_text import format_for_terminal
 
 EXAMPLE = (
     "trackslip study --soil sand dry_clay --filter ekf --sigma-xy 0.01 0.05 --seeds 100 --json study.json"
@@ -69,12 +75,13 @@ def run(args: argparse.Namespace) -> int:
     """Run the study, print its table, write the requested files; returns the exit code."""
     study = _study(args)
     _prepare(args, study.files())
-    workers = partial(worker_options.chosen, args, most=len(study))
+    workers = partial(worker_options.requested_workers, args, most=len(study))
     running = study.run(args.cache, workers, fresh=args.fresh)
-    rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
+    rows = study.rows(list(iterate_with_bar(running, study.UNIT, total=len(study))))
     vehicle = load_vehicle(args.vehicle or DEFAULT_VEHICLE)
-    print(f"vehicle: {vehicle.name}\n\n{for_terminal(study.markdown(rows))}", end="")
-    print(f"\n{len(study)} {study.UNIT} in {waited_s():.1f} s")
+    print(f"vehicle: {vehicle.name
+    print(f"vehicle: {vehicle}\n\n{format_for_terminal(study.markdown(rows))}", end="")
+    print(f"\n{len(study)} {study.UNIT} in {waiting_time_s():.1f} s")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])
     if args.output is not None:
@@ -101,7 +108,7 @@ def _prepare(args: argparse.Namespace, names: Sequence[str]) -> None:
     require_writable(json=args.json)
     files = [] if args.output is None else [args.output / name for name in names]
     for file in files:
-        refuse_foreign("output", file, PNG if file.suffix == ".png" else BEGINNING)
+        refuse_foreign_file("output", file, PNG_PREFIX if file.suffix == ".png" else BEGINNING)
     for file in files:
         make_folder("output", file.parent)
         require_writable(output=file)

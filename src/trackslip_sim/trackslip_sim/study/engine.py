@@ -15,7 +15,7 @@ from trackslip_common.whole_file import write_atomically
 from trackslip_sim.study.cache import Cache, key_of
 from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.workers import Map
-from trackslip_tools.workers import workers as workers_of
+from trackslip_tools.workers import open_workers as workers_of
 
 BEGINNING = "<!-- Written by trackslip study. -->\n"  # of a file of tables
 Workers = Callable[[Any], AbstractContextManager[Map]]  # opens workers with the data that all pieces share

@@ -12,13 +12,13 @@ from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.calibration import gyro, standing, third, timing, tracks
-from trackslip_tools.calibration.finding import Finding, found, refused, rounded
+from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding, round_value
 from trackslip_tools.calibration.recording import Recording
 
 _VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
 _DRIVERS = {"imu/data_raw": "watson_imu", "box_pose": "sick_pls"}  # topic → driver with ``time_offset``
-_NOTHING = Finding("", None, None)
-_LEAST_SPREAD = 0.02  # of κ, least standard deviation
+_NO_FINDING = Finding("", None, None)
+_MIN_EFFICIENCY_STDDEV = 0.02  # of κ, least standard deviation
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ def calibrate(
     headings = gyro.scale_and_delay(recordings)
     findings = {
         "gyro_bias": standing.gyro_bias(recordings),
-        "gyro_sign": _sign(headings["gyro_scale"], timing.gyro_sense(recordings)),
+        "gyro_sign": _gyro_sign(headings["gyro_scale"], timing.gyro_sense(recordings)),
         **headings,
-        **gyro.mounting(recordings),
+        **gyro.mounting_angles(recordings),
         "gyro_delay": timing.gyro_delay(recordings),
         **standing.pressure_offsets(recordings),
     }
@@ -63,21 +63,23 @@ def calibrate(
     radius = findings["rolling_radius"].value or p.vehicle.kinematics.rolling_radius
     if not hard_ground:
         findings["common_slip"] = _common_slip(findings["effective_rolling_radius"], radius)
-    turns = tracks.turning(recordings, unit)
+    turns = tracks.turning_gain(recordings, unit)
     tread = p.vehicle.kinematics.tread
     findings["asymmetry"] = tracks.asymmetry(recordings, unit, turns.gain.value, radius)
-    findings |= _turning(turns.gain, findings["gyro_scale"], radius, tread)
-    findings["tread"] = refused(
+    findings |= _turning_findings(turns.gain, findings["gyro_scale"], radius, tread)
+    findings["tread"] = empty_finding(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
-    findings = {**third.contradicted(findings, setups), **third.measured(setups)}
-    spread = turns.spread * p.vehicle.kinematics.tread / radius
-    confirmed = () if everything else _confirmed(findings, p, sources[0])
-    news = {name: _NOTHING if name in confirmed else finding for name, finding in findings.items()}
-    return Calibration(findings, _parameters(news, spread, p, sources), confirmed)
+    findings = {**third.remove_contradicted(findings, setups), **third.combine_measured(setups)}
+    spread = turns.stddev * p.vehicle.kinematics.tread / radius
+    confirmed = () if everything else _confirmed_names(findings, p, sources[0])
+    new_findings = {name: _NO_FINDING if name in confirmed else finding for name, finding in findings.items()}
+    return Calibration(findings, _node_parameters(new_findings, spread, p, sources), confirmed)
 
 
-def _confirmed(findings: Mapping[str, Finding], p: SlipEstimatorParameters, gyro: str) -> tuple[str, ...]:
+def _confirmed_names(
+    findings: Mapping[str, Finding], p: SlipEstimatorParameters, gyro: str
+) -> tuple[str, ...]:
     """Findings whose intervals contain the present parameter."""
     present = {
         "rolling_radius": p.vehicle.kinematics.rolling_radius,
@@ -97,36 +99,39 @@ def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:
     return tracks.Gyro(scale, findings["gyro_bias"].value or 0.0)
 
 
-def _sign(scale: Finding, sense: Finding) -> Finding:
+def _gyro_sign(scale: Finding, sense: Finding) -> Finding:
     """1, or −1 for a unit mounted upside down; from the headings, else from the tracks' sense of turn."""
     for finding in (scale, sense):
         if finding.interval is not None and finding.interval[0] * finding.interval[1] > 0.0:
             sign = math.copysign(1.0, finding.interval[0])
-            return found(sign, 0.0, "1", finding.basis)
-    return refused(sense.reason or "too uncertain", "1")
+            return make_finding(sign, 0.0, "1", finding.basis)
+    return empty_finding(sense.reason or "too uncertain", "1")
 
 
 def _rolling_radius(distance: Finding, *, hard_ground: bool) -> Finding:
     if distance.interval is None:
-        return refused(distance.reason, "m")
+        return empty_finding(distance.reason, "m")
     if hard_ground:
         return Finding("m", distance.value, distance.interval, f"{distance.basis}, no slip")
     least = f"at least {distance.interval[0]:.4f} m where the machine drives itself"
-    return refused(f"shows only as r (1 − i₀), {least}; --hard-ground states that nothing slipped", "m")
+    return empty_finding(f"shows only as r (1 − i₀), {least}; --hard-ground states that nothing slipped", "m")
 
 
 def _common_slip(distance: Finding, radius: float) -> Finding:
     """i₀, if the present rolling radius is right."""
     if distance.value is None or distance.interval is None:
-        return refused(distance.reason, "1")
+        return empty_finding(distance.reason, "1")
     spread = (distance.interval[1] - distance.value) / radius
-    return found(1.0 - distance.value / radius, spread, "1", f"if r is {radius:g} m")
+    return make_finding(1.0 - distance.value / radius, spread, "1", f"if r is {radius:g} m")
 
 
-def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict[str, Finding]:
+def _turning_findings(gain: Finding, scale: Finding, radius: float, tread: float) -> dict[str, Finding]:
     """κ and B/κ, with the uncertainty of the gyro's scale."""
     if gain.value is None or gain.interval is None:
-        return {"turning_efficiency": refused(gain.reason, "1"), "effective_tread": refused(gain.reason, "m")}
+        return {
+            "turning_efficiency": empty_finding(gain.reason, "1"),
+            "effective_tread": empty_finding(gain.reason, "m"),
+        }
     shares = [(gain.interval[1] - gain.value) / abs(gain.value)]
     basis = gain.basis
     if scale.value is None or scale.interval is None:
@@ -136,16 +141,21 @@ def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict
     share = math.hypot(*shares)
     if share >= 1.0:
         reason = f"the turns differ too much: r κ/B is {gain.value:.3f} ± {share * gain.value:.3f}"
-        return {"turning_efficiency": refused(reason, "1"), "effective_tread": refused(reason, "m")}
+        return {
+            "turning_efficiency": empty_finding(reason, "1"),
+            "effective_tread": empty_finding(reason, "m"),
+        }
     efficiency, effective = gain.value * tread / radius, radius / gain.value
     interval = (effective / (1.0 + share), effective / (1.0 - share))
     return {
-        "turning_efficiency": found(efficiency, share * efficiency, "1", f"{basis}; if B is {tread:g} m"),
+        "turning_efficiency": make_finding(
+            efficiency, share * efficiency, "1", f"{basis}; if B is {tread:g} m"
+        ),
         "effective_tread": Finding("m", effective, interval, f"B/κ on this ground: {basis}"),
     }
 
 
-def _parameters(
+def _node_parameters(
     findings: Mapping[str, Finding], spread: float, p: SlipEstimatorParameters, sources: tuple[str, str]
 ) -> dict[str, dict[str, Any]]:
     """Node → dotted name → value, of the findings that are node parameters."""
@@ -156,19 +166,19 @@ def _parameters(
 
     if findings["rolling_radius"].value is not None:
         for node in _VEHICLE_NODES:
-            add(node, "vehicle.kinematics.rolling_radius", findings["rolling_radius"].rounded)
+            add(node, "vehicle.kinematics.rolling_radius", findings["rolling_radius"].rounded_value)
     if sources[0] in p.gyros():
         group = f"sources.{group_name(sources[0])}"
         if findings["gyro_sign"].value is not None:
             add(NODE, f"{group}.sign", round(findings["gyro_sign"].value))
-        scale = findings["gyro_scale"].rounded
+        scale = findings["gyro_scale"].rounded_value
         if scale is not None:
             add(NODE, f"{group}.scale", abs(scale))
     efficiency = findings["turning_efficiency"]
     if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
-        add(NODE, "turning.initial_efficiency", efficiency.rounded)
-        uncertain = max(spread, efficiency.interval[1] - efficiency.value, _LEAST_SPREAD)
-        add(NODE, "turning.initial_efficiency_stddev", rounded(uncertain, efficiency.decimals))
+        add(NODE, "turning.initial_efficiency", efficiency.rounded_value)
+        uncertain = max(spread, efficiency.interval[1] - efficiency.value, _MIN_EFFICIENCY_STDDEV)
+        add(NODE, "turning.initial_efficiency_stddev", round_value(uncertain, efficiency.decimals))
     for node, offset in _time_offsets(findings, sources).items():
         add(node, "time_offset", offset)
     return parameters
@@ -179,7 +189,7 @@ def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> 
 
     The delay is subtracted from the offset in ``config/``, with which the bags are assumed to be recorded.
     """
-    offsets, late = {}, 0.0
+    offsets, delay = {}, 0.0
     for topic, key in zip(sources, ("gyro_delay", "pose_delay"), strict=True):
         finding, node = findings.get(key), _DRIVERS.get(topic)
         if (
@@ -189,8 +199,8 @@ def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> 
             or finding.interval[0] * finding.interval[1] <= 0.0
         ):
             continue
-        late += finding.value
+        delay += finding.value
         if node is not None:
             present = float(node_defaults(node, f"{node}.yaml")["time_offset"])
-            offsets[node] = rounded(present - late, finding.decimals)
+            offsets[node] = round_value(present - delay, finding.decimals)
     return offsets

@@ -17,7 +17,7 @@ class Finding:
     reason: str = ""
 
     @property
-    def is_found(self) -> bool:
+    def has_value(self) -> bool:
         """Whether there is a value."""
         return self.value is not None
 
@@ -28,23 +28,23 @@ class Finding:
         return 1 - math.floor(math.log10(half)) if 0.0 < half < math.inf else 0
 
     @property
-    def rounded(self) -> float | None:
+    def rounded_value(self) -> float | None:
         """The value, rounded to ``decimals``."""
-        return None if self.value is None else rounded(self.value, self.decimals)
+        return None if self.value is None else round_value(self.value, self.decimals)
 
 
-def rounded(value: float, decimals: int) -> float:
+def round_value(value: float, decimals: int) -> float:
     """The rounded value; never −0."""
     return round(value, decimals) + 0.0
 
 
-def found(value: float, spread: float, unit: str, basis: str) -> Finding:
+def make_finding(value: float, spread: float, unit: str, basis: str) -> Finding:
     """A finding from a value and half the width of its 95 % interval; no value if either is not finite."""
     if not (math.isfinite(value) and math.isfinite(spread)):
-        return refused("the data do not determine a value", unit)
+        return empty_finding("the data do not determine a value", unit)
     return Finding(unit, float(value), (float(value - spread), float(value + spread)), basis)
 
 
-def refused(reason: str, unit: str = "") -> Finding:
+def empty_finding(reason: str, unit: str = "") -> Finding:
     """A finding without a value."""
     return Finding(unit, None, None, reason=reason)

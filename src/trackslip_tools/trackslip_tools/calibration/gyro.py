@@ -26,126 +26,136 @@ from scipy.interpolate import CubicHermiteSpline
 
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding
 from trackslip_tools.calibration.recording import Recording, Series
-from trackslip_tools.calibration.regression import Fit, Increments, clustered, of_increments
-from trackslip_tools.calibration.spans import blocks, spans, unbroken
+from trackslip_tools.calibration.regression import Fit, Increments, fit_clustered, fit_increments
+from trackslip_tools.calibration.spans import are_covered, block_numbers, motion_spans
 
 LEAST_TURN = 1.0  # rad, all turns together; fewer are not enough
 _LARGEST_DELAY = 1.0  # s
-_WIDEST_DELAY = 0.1  # s, half-width beyond which a delay is not reported
+_LARGEST_DELAY_UNCERTAINTY = 0.1  # s, half-width beyond which a delay is not reported
 _LARGEST_HEADING_STDDEV = 0.3  # rad, stated standard deviation beyond which a heading is left out
-_OUTLIER = 5.0  # robust standard deviations
-_FLOOR = 5e-4  # rad, least standard deviation of a heading
-_SHORTEST = 0.5  # s, of a turn
-_MEAN_OF = 2.0  # s, block of headings that are averaged for the scale
-_ROUNDS = 5  # Gauss–Newton steps, for the delay
+_OUTLIER_SIGMAS = 5.0  # robust standard deviations
+_MIN_HEADING_STDDEV = 5e-4  # rad, least standard deviation of a heading
+_SHORTEST_TURN = 0.5  # s, of a turn
+_BLOCK_LENGTH = 2.0  # s, block of headings that are averaged for the scale
+_ITERATIONS = 5  # Gauss–Newton steps, for the delay
 
 
-class _Pair(NamedTuple):
+class _HeadingsWithGyro(NamedTuple):
     """Headings of a recording within the time of its gyro."""
 
     t: FloatArray  # (k,) s
     headings: FloatArray  # (k,) rad
     variances: FloatArray  # (k,)
-    follows: BoolArray  # (k − 1,) whether the next heading is consistent with the gyro
+    is_consistent: BoolArray  # (k − 1,) whether the next heading is consistent with the gyro
     gyro: Series
     angle: CubicHermiteSpline  # Θ
     first: IntArray  # (n,) index of the first heading of each block
 
-    def averaged(self) -> "_Pair":
-        """The same, with headings in blocks of up to ``_MEAN_OF``."""
+    def with_block_means(self) -> "_HeadingsWithGyro":
+        """The same, with headings in blocks of up to ``_BLOCK_LENGTH``."""
         first = [0]
         for k in range(1, len(self.t)):
-            if self.t[k] - self.t[first[-1]] >= _MEAN_OF or not self.follows[k - 1]:
+            if self.t[k] - self.t[first[-1]] >= _BLOCK_LENGTH or not self.is_consistent[k - 1]:
                 first.append(k)
         return self._replace(first=np.array(first))
 
     def increments(self) -> Increments:
-        """Increments of heading between block means, where ``kept``."""
-        kept = self.kept
+        """Increments of heading between block means, where ``is_usable``."""
+        kept = self.is_usable
         joined = kept & np.concatenate(([False], kept[:-1]))
-        variances = self._means(self.variances) / self._counts
-        z, walk = np.diff(self._means(self.headings)), np.diff(self._means(self.t))
+        variances = self._block_means(self.variances) / self._block_sizes
+        z, walk = np.diff(self._block_means(self.headings)), np.diff(self._block_means(self.t))
         return Increments(z[kept], variances[:-1][kept], variances[1:][kept], walk[kept], joined[kept])
 
     @property
-    def kept(self) -> BoolArray:
+    def is_usable(self) -> BoolArray:
         """(n − 1,) whether the heading increment is consistent, and the gyro has no gap."""
         last = np.append(self.first[2:], len(self.t)) - 1
         margins = self.t[self.first[:-1]] - _LARGEST_DELAY, self.t[last] + _LARGEST_DELAY
-        return self.follows[self.first[1:] - 1] & unbroken(self.gyro.t, *margins)
+        return self.is_consistent[self.first[1:] - 1] & are_covered(self.gyro.t, *margins)
 
-    def design(self, delay: float) -> FloatArray:
-        """(n, 3) increments of gyro angle, gyro rate and time between block means, where ``kept``."""
+    def design_matrix(self, delay: float) -> FloatArray:
+        """(n, 3) increments of gyro angle, gyro rate and time between block means, where ``is_usable``."""
         at = self.t - delay
         columns = (self.angle(at), self.angle(at, 1), self.t)
-        return np.column_stack([np.diff(self._means(column)) for column in columns])[self.kept]
+        return np.column_stack([np.diff(self._block_means(column)) for column in columns])[self.is_usable]
 
     @property
-    def _counts(self) -> IntArray:
+    def _block_sizes(self) -> IntArray:
         return np.diff(np.append(self.first, len(self.t)))
 
-    def _means(self, values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, self.first) / self._counts)
+    def _block_means(self, values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, self.first) / self._block_sizes)
 
 
-def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
+def mounting_angles(recordings: Sequence[Recording]) -> dict[str, Finding]:
     """Roll and pitch that rotate the frame of the unit onto the machine's."""
     rows, clusters = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
     for k, recording in enumerate(recordings):
         t, rates = recording.gyro
-        for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
-            inside = recording.gyro.between(*span)
+        for span in motion_spans(recording, Motion.TURNING, _SHORTEST_TURN, settling=0.0):
+            inside = recording.gyro.slice_between(*span)
             rows.append(rates[inside])
-            clusters.append(blocks(t[inside], 1.0, k))
-    rates, cluster, turned = np.concatenate(rows), np.concatenate(clusters), _turned(recordings)
+            clusters.append(block_numbers(t[inside], 1.0, k))
+    rates, cluster, turned = np.concatenate(rows), np.concatenate(clusters), _total_turn(recordings)
     if turned < LEAST_TURN:
-        return dict.fromkeys(("imu_roll", "imu_pitch"), _too_little(turned, "rad"))
+        return dict.fromkeys(("imu_roll", "imu_pitch"), _insufficient_turn(turned, "rad"))
     X = np.column_stack((rates[:, 2], np.ones(len(rates))))
     findings = {}
     for name, leaning in (("imu_roll", rates[:, 1]), ("imu_pitch", -rates[:, 0])):
-        fit = clustered(X, leaning, cluster)
+        fit = fit_clustered(X, leaning, cluster)
         if fit is None:
-            findings[name] = refused("one turn only", "rad")
+            findings[name] = empty_finding("one turn only", "rad")
         else:
-            findings[name] = found(math.atan(fit.values[0]), fit.spread(), "rad", f"{turned:.1f} rad turned")
+            findings[name] = make_finding(
+                math.atan(fit.values[0]), fit.half_width(), "rad", f"{turned:.1f} rad turned"
+            )
     return findings
 
 
 def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     """Scale of the gyro with its sign, and delay of the headings' stamps against the gyro's."""
-    pairs = [pair for pair in map(_pair, recordings) if pair is not None]
-    late_of = "heading_delay" if any(recording.compass for recording in recordings) else "pose_delay"
+    pairs = [pair for pair in map(_match_headings, recordings) if pair is not None]
+    delay_name = "heading_delay" if any(recording.compass for recording in recordings) else "pose_delay"
     if not pairs:
         reason = "no heading of a pose or heading source while the gyro is recorded"
-        return {"gyro_scale": refused(reason, "1"), late_of: refused(reason, "s")}
-    turned = _turned(recordings)
+        return {"gyro_scale": empty_finding(reason, "1"), delay_name: empty_finding(reason, "s")}
+    turned = _total_turn(recordings)
     if turned < LEAST_TURN:
-        return {"gyro_scale": _too_little(turned, "1"), late_of: _too_little(turned, "s")}
-    (of_all, delay), (fit, _) = _fitted(pairs), _fitted([pair.averaged() for pair in pairs])
+        return {"gyro_scale": _insufficient_turn(turned, "1"), delay_name: _insufficient_turn(turned, "s")}
+    (of_all, delay), (fit, _) = (
+        _fit_scale_and_delay(pairs),
+        _fit_scale_and_delay([pair.with_block_means() for pair in pairs]),
+    )
     if of_all is None or fit is None or not (of_all.values[0] and fit.values[0]):
         reason = "headings and gyro do not fit each other"
-        return {"gyro_scale": refused(reason, "1"), late_of: refused(reason, "s")}
+        return {"gyro_scale": empty_finding(reason, "1"), delay_name: empty_finding(reason, "s")}
     basis = f"{sum(len(pair.t) for pair in pairs)} headings, {turned:.1f} rad turned"
     inverse = float(fit.values[0])
-    uncertain = of_all.spread(1) / abs(float(of_all.values[0]))
-    late = found(delay, uncertain, "s", basis)
-    if uncertain > _WIDEST_DELAY:
-        late = refused(f"the rate of turn changes too little to find it better than ±{uncertain:.2f} s", "s")
-    return {"gyro_scale": found(1.0 / inverse, fit.spread() / inverse**2, "1", basis), late_of: late}
+    uncertain = of_all.half_width(1) / abs(float(of_all.values[0]))
+    delay_finding = make_finding(delay, uncertain, "s", basis)
+    if uncertain > _LARGEST_DELAY_UNCERTAINTY:
+        delay_finding = empty_finding(
+            f"the rate of turn changes too little to find it better than ±{uncertain:.2f} s", "s"
+        )
+    return {
+        "gyro_scale": make_finding(1.0 / inverse, fit.half_width() / inverse**2, "1", basis),
+        delay_name: delay_finding,
+    }
 
 
-def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
+def _fit_scale_and_delay(pairs: Sequence[_HeadingsWithGyro]) -> tuple[Fit | None, float]:
     """Fit of 1/s, remaining δ/s, and b/s of each recording; and δ."""
     parts = [pair.increments() for pair in pairs]
     data = Increments(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     counts, delay, fit = [len(part.z) for part in parts], 0.0, None
-    for _ in range(_ROUNDS):
-        designs = [pair.design(delay) for pair in pairs]
+    for _ in range(_ITERATIONS):
+        designs = [pair.design_matrix(delay) for pair in pairs]
         times = [np.where(np.arange(len(pairs)) == k, design[:, 2:], 0.0) for k, design in enumerate(designs)]
         X = np.column_stack((np.concatenate(designs)[:, :2], np.concatenate(times)))
-        fit = of_increments(X, data)
+        fit = fit_increments(X, data)
         if fit is None or not sum(counts) or not fit.values[0]:
             return None, 0.0
         step = -float(fit.values[1] / fit.values[0])
@@ -155,36 +165,40 @@ def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
     return fit, delay
 
 
-def _pair(recording: Recording) -> _Pair | None:
+def _match_headings(recording: Recording) -> _HeadingsWithGyro | None:
     """Headings and gyro; None if either is missing. Headings with a large variance are left out."""
     gyro, (t, shown) = recording.gyro, recording.headings
     if len(gyro.t) < 4:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
     certain = inside & (shown[:, 1] <= _LARGEST_HEADING_STDDEV**2)
-    t, headings, variances = t[certain], shown[certain, 0], np.maximum(shown[certain, 1], _FLOOR**2)
+    t, headings, variances = (
+        t[certain],
+        shown[certain, 0],
+        np.maximum(shown[certain, 1], _MIN_HEADING_STDDEV**2),
+    )
     if len(t) < 4:
         return None
-    angle = CubicHermiteSpline(gyro.t, recording.turned, gyro.values[:, 2])
+    angle = CubicHermiteSpline(gyro.t, recording.gyro_angle, gyro.values[:, 2])
     X = np.column_stack((angle(t), t, np.ones(len(t))))
     as_turned = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
     rest = np.unwrap(headings - as_turned)  # removes whole turns, also after missing fixes
     steps = np.abs(np.diff(rest) - np.median(np.diff(rest)))
-    follows = steps <= _OUTLIER * max(1.4826 * float(np.median(steps)), 10.0 * _FLOOR)
+    follows = steps <= _OUTLIER_SIGMAS * max(1.4826 * float(np.median(steps)), 10.0 * _MIN_HEADING_STDDEV)
     if follows.sum() < 4:
         return None
-    return _Pair(t, as_turned + rest, variances, follows, gyro, angle, np.arange(len(t)))
+    return _HeadingsWithGyro(t, as_turned + rest, variances, follows, gyro, angle, np.arange(len(t)))
 
 
-def _turned(recordings: Sequence[Recording]) -> float:
+def _total_turn(recordings: Sequence[Recording]) -> float:
     """Sum of the gyro's angles over all turns, rad."""
     total = 0.0
     for recording in recordings:
-        for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
-            within = recording.turned[recording.gyro.between(*span)]
+        for span in motion_spans(recording, Motion.TURNING, _SHORTEST_TURN, settling=0.0):
+            within = recording.gyro_angle[recording.gyro.slice_between(*span)]
             total += abs(float(within[-1] - within[0])) if len(within) else 0.0
     return total
 
 
-def _too_little(turned: float, unit: str) -> Finding:
-    return refused(f"turns of {turned:.2f} rad in all; needed: {LEAST_TURN:g} rad", unit)
+def _insufficient_turn(turned: float, unit: str) -> Finding:
+    return empty_finding(f"turns of {turned:.2f} rad in all; needed: {LEAST_TURN:g} rad", unit)

@@ -11,23 +11,23 @@ import yaml
 
 from trackslip_common.config_files import unflatten
 from trackslip_tools.calibration.calibrate import Calibration
-from trackslip_tools.calibration.finding import Finding, rounded
+from trackslip_tools.calibration.finding import Finding, round_value
 from trackslip_tools.cli.outputs import write_file
-from trackslip_tools.terminal_text import WIDTH, wrapped
+from trackslip_tools.terminal_text import WIDTH, wrap_line
 
-BEGINNING = "# from "  # first characters of the parameter file
+FILE_PREFIX = "# from "  # first characters of the parameter file
 
 
 def text(calibration: Calibration) -> str:
     """A line for each finding with its evidence, then the values to adopt, and the confirmed parameters."""
-    lines = [line for name, finding in calibration.findings.items() for line in _lines(name, finding)]
+    lines = [line for name, finding in calibration.findings.items() for line in _finding_lines(name, finding)]
     adopted = {name: value for values in calibration.parameters.values() for name, value in values.items()}
     named = ", ".join(f"{name} {value:g}" for name, value in adopted.items())
     lines.append(f"to adopt (--output writes it): {named or 'nothing'}")
     if calibration.confirmed:
         names = ", ".join(calibration.confirmed)
         lines.append(f"consistent with the parameters, not written (--all writes it): {names}")
-    return "\n".join(map(wrapped, lines))
+    return "\n".join(map(wrap_line, lines))
 
 
 def summary(calibration: Calibration, bags: Sequence[str]) -> dict[str, Any]:
@@ -47,16 +47,16 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
     """
     evidence = text(calibration).splitlines()
     content = {node: {"ros__parameters": unflatten(v)} for node, v in calibration.parameters.items()}
-    heads = [*(f"{BEGINNING}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
+    heads = [*(f"{FILE_PREFIX}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
     lines = [*heads, yaml.safe_dump(content, sort_keys=False)]
     write_file("output", path, "\n".join(lines))
 
 
-def _lines(name: str, finding: Finding) -> list[str]:
+def _finding_lines(name: str, finding: Finding) -> list[str]:
     if finding.value is None or finding.interval is None:
         return [f"{name:<25}–  {finding.reason}"]
     value, low, high = (
-        f"{rounded(number, finding.decimals):.{max(finding.decimals, 0)}f}"
+        f"{round_value(number, finding.decimals):.{max(finding.decimals, 0)}f}"
         for number in (finding.value, *finding.interval)
     )
     unit = "" if finding.unit == "1" else finding.unit

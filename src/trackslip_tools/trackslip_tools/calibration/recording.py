@@ -60,7 +60,7 @@ class _Request(NamedTuple):
     values_of: Callable[[Rows], FloatArray]
     limits: tuple[float, ...]  # limits of the first columns; further columns may be missing
 
-    def readings(self, rows: Rows) -> _Readings:
+    def valid_readings(self, rows: Rows) -> _Readings:
         """Stamps and values of the readings within the limits."""
         with np.errstate(all="ignore"):  # overflow of squares
             values = self.values_of(rows)
@@ -68,12 +68,12 @@ class _Request(NamedTuple):
         return rows["stamp_ns"][sound], values[sound]
 
 
-_FASTEST = 1e3  # rad/s, of a sprocket
-_FASTEST_TURN = 100.0  # rad/s, of a gyro
-_FARTHEST, _LARGEST_VARIANCE = 1e8, 1e12  # m, m²
-_HIGHEST = 1e9  # Pa
-_MOST_ANGLE = 1e9  # rad, of a sprocket since the first reading
-_LONGEST_NS = 100 * 86_400 * 1_000_000_000  # largest distance from the median stamp; beyond: another clock
+_MAX_SPROCKET_SPEED = 1e3  # rad/s, of a sprocket
+_MAX_GYRO_RATE = 100.0  # rad/s, of a gyro
+_MAX_COORDINATE, _LARGEST_VARIANCE = 1e8, 1e12  # m, m²
+_MAX_PRESSURE = 1e9  # Pa
+_MAX_SPROCKET_ANGLE = 1e9  # rad, of a sprocket since the first reading
+_MAX_CLOCK_DIFFERENCE_NS = 100 * 86_400 * 1_000_000_000  # from the median stamp; beyond: another clock
 
 
 class Series(NamedTuple):
@@ -82,7 +82,7 @@ class Series(NamedTuple):
     t: FloatArray  # (n,) s
     values: FloatArray  # (n, k)
 
-    def between(self, begin: float, end: float) -> slice:
+    def slice_between(self, begin: float, end: float) -> slice:
         """Slice of the readings from begin to end, s, both included."""
         return slice(int(np.searchsorted(self.t, begin)), int(np.searchsorted(self.t, end, side="right")))
 
@@ -106,7 +106,7 @@ class Recording:
         return self.compass or Series(self.poses.t, self.poses.values[:, (2, 5)])
 
     @cached_property
-    def turned(self) -> FloatArray:
+    def gyro_angle(self) -> FloatArray:
         """(n,) integral of the gyro's z rate at its stamps, rad, bias included."""
         t, rates = self.gyro
         steps = np.diff(t) * (rates[1:, 2] + rates[:-1, 2]) / 2.0
@@ -118,7 +118,7 @@ class Recording:
         return np.asarray(self.sprockets.values.mean(axis=1))
 
     @cached_property
-    def difference(self) -> FloatArray:
+    def angle_difference(self) -> FloatArray:
         """(n,) angle of the right sprocket less that of the left, rad."""
         return np.asarray(self.sprockets.values[:, 1] - self.sprockets.values[:, 0])
 
@@ -139,24 +139,24 @@ def read_recording(
         InputError: the bag lacks the sprockets, or a topic has an unsupported type.
     """
     require_topics(bag, [SPROCKETS])
-    of_poses = (_FARTHEST, _FARTHEST, _FARTHEST, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
+    of_poses = (_MAX_COORDINATE, _MAX_COORDINATE, _MAX_COORDINATE, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
     requested = (
-        _Request(SPROCKETS, SprocketFields, _sprockets, (_FASTEST,) * 2),
-        _Request(gyro, ImuFields, _rates, (_FASTEST_TURN,) * 3),
+        _Request(SPROCKETS, SprocketFields, _sprockets, (_MAX_SPROCKET_SPEED,) * 2),
+        _Request(gyro, ImuFields, _rates, (_MAX_GYRO_RATE,) * 3),
         _Request(poses, PoseFields, _poses, of_poses),
-        _Request(HYDRAULICS, HydraulicsFields, _hydraulics, (_HIGHEST,) * 2),
-        _compass(bag, *compass) if compass else _Request("", PoseFields, _poses, of_poses),
+        _Request(HYDRAULICS, HydraulicsFields, _hydraulics, (_MAX_PRESSURE,) * 2),
+        _compass_request(bag, *compass) if compass else _Request("", PoseFields, _poses, of_poses),
     )
-    (driven, turns, fixes, oil, turned), left_out = _series(bag, advance, requested)
-    driven = _integrated(driven)
+    (driven, turns, fixes, oil, turned), left_out = _read_series(bag, advance, requested)
+    driven = _sprocket_angles(driven)
     fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
     turned.values[:, 0] = np.unwrap(turned.values[:, 0])
     seen = turned if len(turned.t) else None
-    found = motions(driven, limits)
+    found = motion_states(driven, limits)
     return Recording(bag.path.name, driven, turns, fixes, oil, found, seen, left_out)
 
 
-def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
+def _compass_request(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
     """Request of (n, 2) heading and its variance, for the message type in the bag."""
     types = {relative(name): info.type_name for name, info in bag.topics.items()}
     is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
@@ -169,19 +169,19 @@ def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
         there = rows["absent"] != ABSENT
         return np.column_stack((np.where(there, stated.from_east(headings_of(rows)), np.nan), variances))
 
-    return _Request(topic, OrientationFields if is_imu else QuaternionFields, values, (_FARTHEST,) * 2)
+    return _Request(topic, OrientationFields if is_imu else QuaternionFields, values, (_MAX_COORDINATE,) * 2)
 
 
-def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
+def motion_states(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
     """(n,) motion at each sample: standstill, straight or turning; unknown at the first."""
     found = np.full(len(sprockets.t), int(Motion.UNKNOWN))
     motion, speeds = make_table(MotionRecord, MOTION, 1), make_table(SpeedsRecord, SPEEDS, 1)
-    _motions(sprockets.t, sprockets.values, motion, speeds, limits_record(limits), found)
+    _fill_motion_states(sprockets.t, sprockets.values, motion, speeds, limits_record(limits), found)
     return found
 
 
 @compiled
-def _motions(
+def _fill_motion_states(
     t: FloatArray,
     angles: FloatArray,
     motion: Table[MotionRecord],
@@ -198,7 +198,7 @@ def _motions(
         found[k] = motion[0].motion
 
 
-def _series(
+def _read_series(
     bag: Bag, advance: Callable[[float], None], requested: Sequence[_Request]
 ) -> tuple[list[Series], dict[str, int]]:
     """Topics by stamp, the first reading of each stamp; and topic → number of invalid readings.
@@ -206,7 +206,7 @@ def _series(
     Readings are invalid outside their limits, and far from the median stamp of the first topic (another
     clock).
     """
-    parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in requested]
+    parts = [[one.valid_readings(np.empty(0, dtype_of(one.kind)))] for one in requested]
     counts: Counter[str] = Counter()
     reached_ns = bag.start_ns
     for stretch in read_tables(bag, [one.topic for one in requested if one.topic]):
@@ -216,27 +216,29 @@ def _series(
         tables = {relative(name): table for name, table in stretch.items()}
         for one, own in zip(requested, parts, strict=True):
             if one.topic in tables:
-                own.append(one.readings(_rows(bag, one, tables[one.topic])))
+                own.append(one.valid_readings(_topic_rows(bag, one, tables[one.topic])))
                 counts[one.topic] += len(tables[one.topic]) - len(own[-1][0])
     series, usual_ns = [], None
     for one in requested:
         stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts.pop(0), strict=True))
         if usual_ns is None and len(stamps_ns):
             usual_ns = int(np.median(stamps_ns))
-        near = np.abs((stamps_ns - (usual_ns or 0)).astype(np.float64)) <= _LONGEST_NS
+        near = np.abs((stamps_ns - (usual_ns or 0)).astype(np.float64)) <= _MAX_CLOCK_DIFFERENCE_NS
         counts[one.topic] += int((~near).sum())
-        series.append(_in_order(stamps_ns[near], values[near], bag.start_ns))
+        series.append(_sorted_series(stamps_ns[near], values[near], bag.start_ns))
     return series, {topic: count for topic, count in counts.items() if count}
 
 
-def _rows(bag: Bag, requested: _Request, table: TopicTable) -> Rows:
-    if RECORDS.get(table.type_name) not in _ACCEPTED[requested.kind]:
-        accepted = " or ".join(name for name, known in RECORDS.items() if known in _ACCEPTED[requested.kind])
+def _topic_rows(bag: Bag, requested: _Request, table: TopicTable) -> Rows:
+    if RECORDS.get(table.type_name) not in _ACCEPTED_TYPES[requested.kind]:
+        accepted = " or ".join(
+            name for name, known in RECORDS.items() if known in _ACCEPTED_TYPES[requested.kind]
+        )
         raise InputError(f"bag '{bag.path}': {requested.topic} is a {table.type_name}; accepted: {accepted}")
     return table.rows(requested.kind)
 
 
-def _in_order(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:
+def _sorted_series(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:
     t: FloatArray = np.asarray((stamps_ns - start_ns) * 1e-9, dtype=np.float64)
     if (np.diff(t) <= 0.0).any():
         t, first = np.unique(t, return_index=True)
@@ -267,16 +269,16 @@ def _hydraulics(rows: Rows) -> FloatArray:
     return np.column_stack([rows[name] for name in names])
 
 
-def _integrated(readings: Series) -> Series:
+def _sprocket_angles(readings: Series) -> Series:
     """(n, 2) angles: the positions, or the integral of the speeds if a position is missing."""
     t, values = readings
-    if (np.abs(values[:, 2:]) <= _MOST_ANGLE).all():
+    if (np.abs(values[:, 2:]) <= _MAX_SPROCKET_ANGLE).all():
         return Series(t, values[:, 2:])
     steps = values[1:, :2] * np.diff(t)[:, np.newaxis]
     return Series(t, np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))))
 
 
-_ACCEPTED: dict[RecordClass, tuple[RecordClass, ...]] = {
+_ACCEPTED_TYPES: dict[RecordClass, tuple[RecordClass, ...]] = {
     SprocketFields: (SprocketFields,),
     ImuFields: (ImuFields,),
     OrientationFields: (ImuFields,),

@@ -4,10 +4,10 @@
 
     z = X β + e     measured, design, coefficients, errors      (n,), (n, p), (p,), (n,)
 
-``clustered``: errors may be correlated within a cluster (a second of data, a turn), but not between clusters.
+``fit_clustered``: errors may be correlated within a cluster (a second of data, a turn), not between clusters.
 The covariance of β is the jackknife's: the scatter of β when each cluster in turn is left out.
 
-``of_increments``: z are increments between noisy readings of a random walk:
+``fit_increments``: z are increments between noisy readings of a random walk:
 
     Var z_k = q w_k + ρ (R_{k−1} + R_k)      Cov(z_k, z_{k+1}) = −ρ R_k
 
@@ -28,8 +28,8 @@ from scipy.special import stdtrit
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 
 CONFIDENCE = 0.95
-_NEGLIGIBLE = 12.0  # of −2 log likelihood above its minimum
-_GRID = 24  # values of √q
+_NEGLIGIBLE_DIFFERENCE = 12.0  # of −2 log likelihood above its minimum
+_GRID_SIZE = 24  # values of √q
 
 
 class Fit(NamedTuple):
@@ -39,7 +39,7 @@ class Fit(NamedTuple):
     covariance: FloatArray  # (p, p)
     dof: int
 
-    def spread(self, index: int = 0) -> float:
+    def half_width(self, index: int = 0) -> float:
         """Half the width of a coefficient's 95 % interval."""
         variance = float(self.covariance[index, index])
         return half_width(math.sqrt(variance), self.dof) if variance >= 0.0 else math.nan
@@ -49,8 +49,8 @@ class Increments(NamedTuple):
     """Differences of neighbouring readings, in order of time."""
 
     z: FloatArray  # (n,)
-    before: FloatArray  # (n,) stated variance of the earlier reading
-    after: FloatArray  # (n,) stated variance of the later reading
+    variance_before: FloatArray  # (n,) stated variance of the earlier reading
+    variance_after: FloatArray  # (n,) stated variance of the later reading
     walk: FloatArray  # (n,) w
     joined: BoolArray  # (n,) whether the earlier reading ends the increment before
 
@@ -60,7 +60,7 @@ def half_width(stddev: float, dof: int) -> float:
     return float(stdtrit(max(dof, 1), (1.0 + CONFIDENCE) / 2.0)) * stddev
 
 
-def clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
+def fit_clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
     """Ordinary least squares; ``clusters`` (n,) numbers the cluster of each row. None: too few clusters."""
     names, of = np.unique(clusters, return_inverse=True)
     count, size = len(names), X.shape[1]
@@ -71,38 +71,39 @@ def clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
         for k, column in enumerate((*X.T, z)):
             products[:, i, k] = np.bincount(of, X[:, i] * column, count)
     total = products.sum(axis=0)
-    values = _solved(total[np.newaxis])
-    without = _solved(total - products)
+    values = _solve_normal_equations(total[np.newaxis])
+    without = _solve_normal_equations(total - products)
     if values is None or without is None:  # a single cluster determines a coefficient
         return None
     moved = without - values
     return Fit(values[0], (count - 1) / count * moved.T @ moved, count - 1)
 
 
-def of_increments(X: FloatArray, data: Increments) -> Fit | None:
+def fit_increments(X: FloatArray, data: Increments) -> Fit | None:
     """Generalised least squares with noise of unknown size; X (n, p). None: too few increments."""
     if len(data.z) <= X.shape[1] + 2:
         return None
-    typical = float(np.median(data.before + data.after))
+    typical = float(np.median(data.variance_before + data.variance_after))
     start = np.log((0.1 * typical / max(float(np.median(data.walk)), 1e-9), 1.0))
 
     def cost(logs: FloatArray) -> float:
-        solved = _weighed(X, data, *np.exp(np.clip(logs, -60.0, 60.0)))
+        solved = _fit_given_variances(X, data, *np.exp(np.clip(logs, -60.0, 60.0)))
         return math.inf if solved is None else solved[0]
 
     best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 200})
     q, rho = np.exp(np.clip(best.x, -60.0, 60.0))
-    return _averaged(X, data, math.sqrt(max(q, 1e-6 * np.exp(start[0]))), rho)
+    return _average_fits(X, data, math.sqrt(max(q, 1e-6 * np.exp(start[0]))), rho)
 
 
-def _averaged(X: FloatArray, data: Increments, size: float, rho: float) -> Fit | None:
+def _average_fits(X: FloatArray, data: Increments, size: float, rho: float) -> Fit | None:
     """Average over √q from 0 to where the likelihood is negligible; ``size`` is a √q of high likelihood."""
-    lowest = _weighed(X, data, size**2, rho)
+    lowest = _fit_given_variances(X, data, size**2, rho)
     if lowest is None:
         return None
-    while (farther := _weighed(X, data, size**2, rho)) is not None and farther[0] - lowest[0] <= _NEGLIGIBLE:
+    limit = lowest[0] + _NEGLIGIBLE_DIFFERENCE
+    while (farther := _fit_given_variances(X, data, size**2, rho)) is not None and farther[0] <= limit:
         size *= 2.0
-    found = [_weighed(X, data, root**2, rho) for root in np.linspace(0.0, size, _GRID)]
+    found = [_fit_given_variances(X, data, root**2, rho) for root in np.linspace(0.0, size, _GRID_SIZE)]
     solved = [each for each in found if each is not None]
     costs = np.array([each[0] for each in solved])
     weights = np.exp((costs.min() - costs) / 2.0)
@@ -115,13 +116,13 @@ def _averaged(X: FloatArray, data: Increments, size: float, rho: float) -> Fit |
     return Fit(np.asarray(values), np.asarray(covariance), len(data.z) - X.shape[1])
 
 
-def _weighed(
+def _fit_given_variances(
     X: FloatArray, data: Increments, q: float, rho: float
 ) -> tuple[float, FloatArray, FloatArray] | None:
     """−2 log likelihood (restricted), β and its covariance; None for indefinite covariances."""
     diagonals = np.zeros((2, len(data.z)))
-    diagonals[0] = q * data.walk + rho * (data.before + data.after)
-    diagonals[1, :-1] = np.where(data.joined[1:], -rho * data.before[1:], 0.0)
+    diagonals[0] = q * data.walk + rho * (data.variance_before + data.variance_after)
+    diagonals[1, :-1] = np.where(data.joined[1:], -rho * data.variance_before[1:], 0.0)
     try:
         L = cholesky_banded(diagonals, lower=True)
         whitened = solve_banded((1, 0), L, np.column_stack((X, data.z)))
@@ -136,7 +137,7 @@ def _weighed(
     return (cost, values, covariance) if sign > 0.0 and math.isfinite(cost) else None
 
 
-def _solved(normal: FloatArray) -> FloatArray | None:
+def _solve_normal_equations(normal: FloatArray) -> FloatArray | None:
     """(c, p) A⁻¹ b, of A beside b (c, p, p + 1); None if an A is singular to within rounding."""
     A, b = normal[:, :, :-1], normal[:, :, -1]
     diagonals = np.diagonal(A, axis1=1, axis2=2)

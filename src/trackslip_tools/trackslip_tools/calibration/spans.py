@@ -22,7 +22,9 @@ class Span(NamedTuple):
     end: float
 
 
-def spans(recording: Recording, motion: Motion, least: float, settling: float = _SETTLING) -> list[Span]:
+def motion_spans(
+    recording: Recording, motion: Motion, least: float, settling: float = _SETTLING
+) -> list[Span]:
     """Spans of ``motion`` without a gap in the sprockets, cut by ``settling`` at both ends, ≥ ``least`` s."""
     t = recording.sprockets.t
     same = (recording.motion[1:] == motion) & (np.diff(t) <= LONGEST_GAP)
@@ -31,7 +33,7 @@ def spans(recording: Recording, motion: Motion, least: float, settling: float = 
     return [span for span in found if span.end - span.begin >= least]
 
 
-def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
+def are_covered(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
     """(n,) whether readings at ``t`` cover each span from start to end without a gap."""
     if not len(t):
         return np.zeros(len(begins), dtype=np.bool_)
@@ -42,6 +44,6 @@ def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
     return covered
 
 
-def blocks(t: FloatArray, length: float, recording: int) -> IntArray:
+def block_numbers(t: FloatArray, length: float, recording: int) -> IntArray:
     """(n,) numbers of the blocks of ``length`` s in which the times of one recording lie."""
     return np.floor(t / length).astype(np.int64) + recording * _MOST_BLOCKS

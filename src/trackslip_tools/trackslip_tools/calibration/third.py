@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trackslip_estimation.setup_check.finding import MeasuredValue, Result
-from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding
 
 _TURNS = ("turning_efficiency", "effective_tread", "asymmetry")
 _DISTANCES = ("effective_rolling_radius", "rolling_radius", "common_slip")
 _GYRO = ("gyro_sign", "gyro_scale")
 _TRACKS = (*_GYRO, *_TURNS, *_DISTANCES, "gyro_delay")
-_CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that are wrong then
+_CONTRADICTED_FINDINGS: Mapping[str, Sequence[str]] = {  # cause → findings that are wrong then
     "tracks_swapped": _TRACKS,
     "left_track_sign": _TRACKS,
     "right_track_sign": _TRACKS,
@@ -31,31 +31,33 @@ _CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that are wr
 }
 
 
-def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> dict[str, Finding]:
+def remove_contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> dict[str, Finding]:
     """The findings, without the values that a mistake of the setup makes wrong."""
     kept = dict(findings)
-    wrong = {cause.cause: _CONTRADICTED.get(cause.cause, ()) for setup in setups for cause in setup.causes}
+    wrong = {
+        cause.cause: _CONTRADICTED_FINDINGS.get(cause.cause, ()) for setup in setups for cause in setup.causes
+    }
     wrong |= {question.what: _TRACKS for setup in setups for question in setup.open_questions}
     for cause, names in wrong.items():
         for name in names:
-            if name in kept and kept[name].is_found:
-                kept[name] = refused(f"{cause}: undo it first", kept[name].unit)
+            if name in kept and kept[name].has_value:
+                kept[name] = empty_finding(f"{cause}: undo it first", kept[name].unit)
     return kept
 
 
-def measured(setups: Sequence[Result]) -> dict[str, Finding]:
+def combine_measured(setups: Sequence[Result]) -> dict[str, Finding]:
     """Lever arms, yaw offsets and delays by source, combined over all bags."""
     groups: dict[str, list[MeasuredValue]] = {}
     for setup in setups:
         for one in setup.measured:
             groups.setdefault(f"{one.name} of {one.source}", []).append(one)
-    return {name: _together(own) for name, own in groups.items()}
+    return {name: _weighted_mean(own) for name, own in groups.items()}
 
 
-def _together(own: Sequence[MeasuredValue]) -> Finding:
+def _weighted_mean(own: Sequence[MeasuredValue]) -> Finding:
     weights = [1.0 / max(one.half_width, 1e-9) ** 2 for one in own]
     total = sum(weights)
     value = sum(w * one.value for w, one in zip(weights, own, strict=True)) / total
     scatter = sum(w * (one.value - value) ** 2 for w, one in zip(weights, own, strict=True))
     spread = math.sqrt(max(1.0, scatter / max(len(own) - 1, 1)) / total)
-    return found(value, spread, own[0].unit, "; ".join(dict.fromkeys(one.basis for one in own)))
+    return make_finding(value, spread, own[0].unit, "; ".join(dict.fromkeys(one.basis for one in own)))

@@ -16,19 +16,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding
 from trackslip_tools.calibration.recording import Recording
-from trackslip_tools.calibration.regression import Fit, clustered
-from trackslip_tools.calibration.spans import blocks, spans, unbroken
+from trackslip_tools.calibration.regression import Fit, fit_clustered
+from trackslip_tools.calibration.spans import are_covered, block_numbers, motion_spans
 
 GROUND_LAG = 0.03  # s, largest lag of the yaw rate behind the tracks on firm ground
-_SHORTEST = 1.5  # s, of a turn
-_LATEST = 0.5  # s, range of the search
-_GRID = 0.02  # s
+_SHORTEST_TURN = 1.5  # s, of a turn
+_SEARCH_RANGE = 0.5  # s, range of the search
+_SEARCH_STEP = 0.02  # s
 _WINDOW = 0.05  # s, half of the span for sprocket speeds: a count is 5e-4 rad
-_BLOCK = 5.0  # s in which errors of the yaw rate may be correlated: about a turn
-_ROUNDS = 4  # Gauss–Newton steps
-_WEAK = 0.05  # largest unexplained share of the yaw rate's variance
+_BLOCK_LENGTH = 5.0  # s in which errors of the yaw rate may be correlated: about a turn
+_ITERATIONS = 4  # Gauss–Newton steps
+_LARGEST_UNEXPLAINED = 0.05  # largest unexplained share of the yaw rate's variance
 _NO_TURNS = "no turns with the gyro recorded"
 
 
@@ -38,45 +38,50 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
     Firm ground adds a lag of up to ``GROUND_LAG``: half of it is subtracted, and the interval covers all of
     it.
     """
-    turning = _with_turns(recordings)
+    turning = _recordings_with_turns(recordings)
     if not turning:
-        return refused(_NO_TURNS, "s")
-    lates = np.arange(-_LATEST, _LATEST + _GRID / 2.0, _GRID)
-    late = float(lates[int(np.argmin([_against_sprockets(turning, float(late))[2] for late in lates]))])
-    for _ in range(_ROUNDS):
-        fit, step, unexplained = _against_sprockets(turning, late)
-        late += step
+        return empty_finding(_NO_TURNS, "s")
+    delays = np.arange(-_SEARCH_RANGE, _SEARCH_RANGE + _SEARCH_STEP / 2.0, _SEARCH_STEP)
+    delay = float(delays[int(np.argmin([_fit_to_sprockets(turning, float(delay))[2] for delay in delays]))])
+    for _ in range(_ITERATIONS):
+        fit, step, unexplained = _fit_to_sprockets(turning, delay)
+        delay += step
     if fit is None or not fit.values[0]:
-        return refused("the drive is too short", "s")
-    if unexplained > _WEAK:
-        return refused(f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of it is left over", "s")
-    spread = fit.spread(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
-    return found(late - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} left over")
+        return empty_finding("the drive is too short", "s")
+    if unexplained > _LARGEST_UNEXPLAINED:
+        return empty_finding(
+            f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of it is left over", "s"
+        )
+    spread = fit.half_width(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
+    return make_finding(
+        delay - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} left over"
+    )
 
 
 def gyro_sense(recordings: Sequence[Recording]) -> Finding:
     """a, positive if the unit is mounted upright: a machine turns in the direction of its tracks."""
-    turning = _with_turns(recordings)
-    fit = _against_sprockets(turning, 0.0)[0] if turning else None
+    turning = _recordings_with_turns(recordings)
+    fit = _fit_to_sprockets(turning, 0.0)[0] if turning else None
     if fit is None:
-        return refused(_NO_TURNS, "1")
-    return found(fit.values[0], fit.spread(), "1", "by the sense of the tracks")
+        return empty_finding(_NO_TURNS, "1")
+    return make_finding(fit.values[0], fit.half_width(), "1", "by the sense of the tracks")
 
 
-def _with_turns(recordings: Sequence[Recording]) -> list[Recording]:
-    return [r for r in recordings if spans(r, Motion.TURNING, _SHORTEST) and len(r.gyro.t) > 3]
+def _recordings_with_turns(recordings: Sequence[Recording]) -> list[Recording]:
+    return [r for r in recordings if motion_spans(r, Motion.TURNING, _SHORTEST_TURN) and len(r.gyro.t) > 3]
 
 
-def _against_sprockets(recordings: Sequence[Recording], late: float) -> tuple[Fit | None, float, float]:
-    """Fit of a, a δ' and b; step δ' from ``late``; unexplained share of variance."""
+def _fit_to_sprockets(recordings: Sequence[Recording], delay: float) -> tuple[Fit | None, float, float]:
+    """Fit of a, a δ' and b; step δ' from ``delay``; unexplained share of variance."""
     rows, rates, clusters = [], [], []
     for k, recording in enumerate(recordings):
         t, z = recording.gyro.t, recording.gyro.values[:, 2]
-        at = t - late
-        margin = _LATEST + 2.0 * _WINDOW
-        kept = unbroken(recording.sprockets.t, t - margin, t + margin)
+        at = t - delay
+        margin = _SEARCH_RANGE + 2.0 * _WINDOW
+        kept = are_covered(recording.sprockets.t, t - margin, t + margin)
         angles = [
-            np.interp(at + k * _WINDOW, recording.sprockets.t, recording.difference) for k in range(-2, 3)
+            np.interp(at + k * _WINDOW, recording.sprockets.t, recording.angle_difference)
+            for k in range(-2, 3)
         ]
         rate = (angles[3] - angles[1]) / (2.0 * _WINDOW)
         change = (angles[4] - 2.0 * angles[2] + angles[0]) / (2.0 * _WINDOW) ** 2
@@ -84,9 +89,9 @@ def _against_sprockets(recordings: Sequence[Recording], late: float) -> tuple[Fi
         ones[:, k] = 1.0
         rows.append(np.column_stack((rate, -change, ones))[kept])
         rates.append(z[kept])
-        clusters.append(blocks(t[kept], _BLOCK, k))
+        clusters.append(block_numbers(t[kept], _BLOCK_LENGTH, k))
     X, rate = np.concatenate(rows), np.concatenate(rates)
-    fit = clustered(X, rate, np.concatenate(clusters))
+    fit = fit_clustered(X, rate, np.concatenate(clusters))
     if fit is None:
         return None, 0.0, float("inf")
     return fit, float(fit.values[1] / fit.values[0]), float(np.var(rate - X @ fit.values) / np.var(rate))

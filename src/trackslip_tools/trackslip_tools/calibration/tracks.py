@@ -22,16 +22,16 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding
 from trackslip_tools.calibration.recording import Recording
-from trackslip_tools.calibration.regression import Increments, clustered, of_increments
-from trackslip_tools.calibration.spans import Span, spans, unbroken
+from trackslip_tools.calibration.regression import Increments, fit_clustered, fit_increments
+from trackslip_tools.calibration.spans import Span, are_covered, motion_spans
 
 LEAST_DISTANCE = 3.0  # m, all straights together
 LEAST_TURNS = 3
 _SHORTEST_STRAIGHT, _SHORTEST_TURN = 2.0, 1.5  # s
 _LEAST_FIXES = 4  # per straight
-_FLOOR = 1e-3  # m, least standard deviation of a fix
+_MIN_POSITION_STDDEV = 1e-3  # m, least standard deviation of a fix
 _COMPLEX = np.array((1.0, 1.0j))
 
 
@@ -43,91 +43,101 @@ class Gyro(NamedTuple):
 
     def headings(self, recording: Recording, t: FloatArray) -> FloatArray:
         """(n,) angles turned at these times, up to a common constant, rad; needs a recorded gyro."""
-        shown = np.interp(t, recording.gyro.t, recording.turned)
+        shown = np.interp(t, recording.gyro.t, recording.gyro_angle)
         return np.asarray((shown - self.bias * t) / self.scale)
 
 
-class Turns(NamedTuple):
+class TurningGain(NamedTuple):
     """Turning of the machine per sprocket angle."""
 
     gain: Finding  # r κ/B, 1
-    spread: float  # standard deviation of r κ/B from turn to turn
+    stddev: float  # standard deviation of r κ/B from turn to turn
 
 
 def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
     """r (1 − i₀), from the straights."""
     parts = []
     for recording in recordings:
-        straights = spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
-        for span, known in zip(straights, _with_gyro(recording, straights), strict=True):
-            part = _straight(recording, span, gyro if known else None)
+        straights = motion_spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
+        for span, known in zip(straights, _has_gyro(recording, straights), strict=True):
+            part = _straight_increments(recording, span, gyro if known else None)
             parts += [] if part is None else [part]
     distance = sum(float(np.abs(data.z.sum())) for data, _ in parts)
     if distance < LEAST_DISTANCE:
-        return refused(f"straights with fixes of {distance:.1f} m in all; needed: {LEAST_DISTANCE:g} m", "m")
+        return empty_finding(
+            f"straights with fixes of {distance:.1f} m in all; needed: {LEAST_DISTANCE:g} m", "m"
+        )
     data = Increments(
         *(np.concatenate(columns) for columns in zip(*(part for part, _ in parts), strict=True))
     )
-    fit = of_increments(np.concatenate([turned for _, turned in parts])[:, np.newaxis], data)
+    fit = fit_increments(np.concatenate([turned for _, turned in parts])[:, np.newaxis], data)
     if fit is None:
-        return refused("too few fixes on the straights", "m")
-    return found(fit.values[0], fit.spread(), "m", f"{len(parts)} straights, {distance:.1f} m")
+        return empty_finding("too few fixes on the straights", "m")
+    return make_finding(fit.values[0], fit.half_width(), "m", f"{len(parts)} straights, {distance:.1f} m")
 
 
-def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
+def turning_gain(recordings: Sequence[Recording], gyro: Gyro) -> TurningGain:
     """r κ/B, from the turns."""
     turned, differences = np.empty(0), np.empty(0)
     for recording in recordings:
-        turns = spans(recording, Motion.TURNING, _SHORTEST_TURN)
-        edges = np.array(turns).reshape(-1, 2)[_with_gyro(recording, turns)]
+        turns = motion_spans(recording, Motion.TURNING, _SHORTEST_TURN)
+        edges = np.array(turns).reshape(-1, 2)[_has_gyro(recording, turns)]
         if len(edges):
-            angles = np.interp(edges, recording.sprockets.t, recording.difference)
+            angles = np.interp(edges, recording.sprockets.t, recording.angle_difference)
             differences = np.append(differences, np.diff(angles))
             turned = np.append(turned, np.diff(gyro.headings(recording, edges)))
     if len(turned) < LEAST_TURNS:
         reason = f"{len(turned)} turns of {_SHORTEST_TURN:g} s with the gyro recorded; needed: {LEAST_TURNS}"
-        return Turns(refused(reason, "1"), float("nan"))
-    fit = clustered(differences[:, np.newaxis], turned, np.arange(len(turned)))
+        return TurningGain(empty_finding(reason, "1"), float("nan"))
+    fit = fit_clustered(differences[:, np.newaxis], turned, np.arange(len(turned)))
     if fit is None or not fit.values[0]:
-        return Turns(refused("a single turn determines the result", "1"), float("nan"))
+        return TurningGain(empty_finding("a single turn determines the result", "1"), float("nan"))
     basis = f"{len(turned)} turns, {np.abs(turned).sum():.1f} rad"
-    return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(turned / differences, ddof=1)))
+    return TurningGain(
+        make_finding(fit.values[0], fit.half_width(), "1", basis), float(np.std(turned / differences, ddof=1))
+    )
 
 
 def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, radius: float) -> Finding:
     """ε, from the straights; ``gain`` is r κ/B."""
     if gain is None:
-        return refused("the turns do not show r κ/B", "rad/m")
+        return empty_finding("the turns do not show r κ/B", "rad/m")
     turned, distances = np.empty(0), np.empty(0)
     for recording in recordings:
-        straights = spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
-        edges = np.array(straights).reshape(-1, 2)[_with_gyro(recording, straights)]
+        straights = motion_spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
+        edges = np.array(straights).reshape(-1, 2)[_has_gyro(recording, straights)]
         if len(edges):
             known = recording.sprockets.t
             distances = np.append(distances, radius * np.diff(np.interp(edges, known, recording.mean_angle)))
-            steered = gain * np.diff(np.interp(edges, known, recording.difference))
+            steered = gain * np.diff(np.interp(edges, known, recording.angle_difference))
             turned = np.append(turned, np.diff(gyro.headings(recording, edges)) - steered)
     distance = float(np.abs(distances).sum())
     is_enough, numbers = distance >= LEAST_DISTANCE, np.arange(len(turned))
-    fit = clustered(distances[:, np.newaxis], turned, numbers) if is_enough else None
+    fit = fit_clustered(distances[:, np.newaxis], turned, numbers) if is_enough else None
     if fit is None:
-        return refused(f"straights with the gyro of {distance:.1f} m; needed: {LEAST_DISTANCE:g} m", "rad/m")
-    return found(fit.values[0], fit.spread(), "rad/m", f"{len(distances)} straights, {distance:.1f} m")
+        return empty_finding(
+            f"straights with the gyro of {distance:.1f} m; needed: {LEAST_DISTANCE:g} m", "rad/m"
+        )
+    return make_finding(
+        fit.values[0], fit.half_width(), "rad/m", f"{len(distances)} straights, {distance:.1f} m"
+    )
 
 
-def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> BoolArray:
+def _has_gyro(recording: Recording, stretches: Sequence[Span]) -> BoolArray:
     """(n,) whether the gyro was recorded throughout each span."""
     begins, ends = np.array(stretches).reshape(-1, 2).T
-    return unbroken(recording.gyro.t, begins, ends)
+    return are_covered(recording.gyro.t, begins, ends)
 
 
-def _straight(recording: Recording, span: Span, gyro: Gyro | None) -> tuple[Increments, FloatArray] | None:
+def _straight_increments(
+    recording: Recording, span: Span, gyro: Gyro | None
+) -> tuple[Increments, FloatArray] | None:
     """Distances between fixes along the heading, and sprocket angles; None with few fixes or no motion.
 
     The recorded gyro gives the heading within the straight. The track of fixes is rotated so that its end
     lies straight ahead of its start.
     """
-    inside = recording.poses.between(*span)
+    inside = recording.poses.slice_between(*span)
     t, fixes = recording.poses.t[inside], recording.poses.values[inside]
     if len(t) < _LEAST_FIXES:
         return None
@@ -139,6 +149,6 @@ def _straight(recording: Recording, span: Span, gyro: Gyro | None) -> tuple[Incr
     if total == 0.0:
         return None
     along = np.real(steps * np.conj(total) / abs(total))
-    variances = np.maximum(fixes[:, 3:5].mean(axis=1), _FLOOR**2)
+    variances = np.maximum(fixes[:, 3:5].mean(axis=1), _MIN_POSITION_STDDEV**2)
     joined = np.arange(len(along)) > 0
     return Increments(along, variances[:-1], variances[1:], np.abs(turned), joined), turned

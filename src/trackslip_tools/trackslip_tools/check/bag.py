@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.finding import OpenQuestion, Result, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.inputs import InputStream
-from trackslip_tools.terminal_text import table, wrapped
+from trackslip_tools.terminal_text import table, wrap_line
 
 NO_SPROCKETS = OpenQuestion("everything: there are no sprockets", "record the topic sprockets")
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
@@ -35,44 +35,44 @@ def check_bag(
         collector.add(batch.rows, stream.sources)
         advance(max(stream.duration_s - reached, 0.0))
         reached = max(reached, stream.duration_s)
-    return result_of(collector)
+    return check_collected(collector)
 
 
-def result_of(collector: Collector) -> Result:
+def check_collected(collector: Collector) -> Result:
     """Result of the check over the collected measurements."""
     log = collector.log()
     return Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
 
 
-def settings(result: Result) -> list[str]:
+def remedy_settings(result: Result) -> list[str]:
     """Settings of the remedies, for ``--set``; empty if a cause has another remedy."""
     found = [_SETTING.findall(cause.remedy) for cause in result.causes]
     return [one for settings in found for one in settings] if all(found) else []
 
 
-def finding(result: Result) -> str:
+def setup_summary(result: Result) -> str:
     """Summary for other commands: causes and remedies, else open questions or "setup plausible"."""
     if not result.causes:
-        open_questions = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
+        open_questions = [wrap_line(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
         return "\n".join(open_questions) or "setup plausible"
     lines = []
     for cause in result.causes:
         lines += [f"setup: {cause.cause} ({cause.source}): {cause.evidence}", f"  {cause.remedy}"]
-    return "\n".join(map(wrapped, lines))
+    return "\n".join(map(wrap_line, lines))
 
 
-def whole(result: Result) -> str:
+def setup_report(result: Result) -> str:
     """Full text for ``trackslip check``: facts, causes with odds and remedies, and undecided questions."""
-    parts = ["\n".join(map(wrapped, result.facts))] if result.facts else []
+    parts = ["\n".join(map(wrap_line, result.facts))] if result.facts else []
     if result.causes:
         rows = [(c.cause, c.source, odds_text(c.odds)) for c in result.causes]
         parts.append(table(("cause", "source", "odds"), rows, (False, False, True)))
         parts += [
-            "\n".join(map(wrapped, (f"{c.cause}: {c.evidence}", f"  {c.remedy}"))) for c in result.causes
+            "\n".join(map(wrap_line, (f"{c.cause}: {c.evidence}", f"  {c.remedy}"))) for c in result.causes
         ]
     else:
-        parts.append(finding(result))
+        parts.append(setup_summary(result))
     if result.undetermined:
         lines = [f"  {one.what}: {one.needed}" for one in result.undetermined]
-        parts.append("\n".join(["not decided by this drive", *map(wrapped, lines)]))
+        parts.append("\n".join(["not decided by this drive", *map(wrap_line, lines)]))
     return "\n\n".join(parts)

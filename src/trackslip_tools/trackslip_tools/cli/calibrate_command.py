@@ -11,12 +11,12 @@ from trackslip_bags.reader import Bag, open_bag, require_topics
 from trackslip_common.errors import ExitCode, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
-from trackslip_tools.calibration.output import BEGINNING, summary, text, write_parameters
+from trackslip_tools.calibration.output import FILE_PREFIX, summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
-from trackslip_tools.check.bag import check_bag, finding
+from trackslip_tools.check.bag import check_bag, setup_summary
 from trackslip_tools.cli import replay_options, shared_options
-from trackslip_tools.cli.outputs import refuse_foreign, require_writable, write_json
-from trackslip_tools.cli.progress import counted, in_shares
+from trackslip_tools.cli.outputs import refuse_foreign_file, require_writable, write_json
+from trackslip_tools.cli.progress import progress_bar, scale_progress
 
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
 
@@ -52,30 +52,30 @@ def run(args: argparse.Namespace) -> int:
     """Calibrate, print the findings, and write the outputs."""
     require_writable(output=args.output, json=args.json)
     if args.output is not None:
-        refuse_foreign("output", args.output, BEGINNING)
+        refuse_foreign_file("output", args.output, FILE_PREFIX)
     with open_bag(args.bags[0], args.namespace) as bag:
         p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
-        gyro, poses = _sources(args, bag, p)
+        gyro, poses = _source_topics(args, bag, p)
         compass = next(iter(p.compasses().items()), None)
     recordings, setups = [], []
-    with counted(len(args.bags), "reading") as advance:
+    with progress_bar(len(args.bags), "reading") as advance:
         for path in args.bags:
             with open_bag(path, args.namespace) as bag:
                 replay_options.note_damage(bag)
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
-                moved_on = in_shares(advance, bag.duration_s)
+                moved_on = scale_progress(advance, bag.duration_s)
                 recordings.append(read_recording(bag, gyro, poses, p.motion, compass, moved_on))
                 setups.append(check_bag(bag, p))
             for topic, count in recordings[-1].left_out.items():
                 why = "no numbers of a machine, or stamped by another clock"
                 show(f"note: {path}: {count} messages of {topic} are left out: {why}", file=sys.stderr)
-    with counted(None, "calibrating"):
+    with progress_bar(None, "calibrating"):
         result = calibrate(
             recordings, p, (gyro, poses), setups, hard_ground=args.hard_ground, everything=args.all
         )
     names = [str(path) for path in args.bags]
     for path, setup in zip(args.bags, setups, strict=True):
-        show((f"{path}: " if len(setups) > 1 else "") + finding(setup))
+        show((f"{path}: " if len(setups) > 1 else "") + setup_summary(setup))
     show(text(result))
     if args.output is not None and result.parameters:
         write_parameters(args.output, result, names)
@@ -84,10 +84,12 @@ def run(args: argparse.Namespace) -> int:
         show(f"nothing new: {args.output} is not written")
     if args.json is not None:
         write_json(args.json, summary(result, names))
-    return ExitCode.DONE if any(finding.is_found for finding in result.findings.values()) else ExitCode.FAILED
+    return (
+        ExitCode.DONE if any(finding.has_value for finding in result.findings.values()) else ExitCode.FAILED
+    )
 
 
-def _sources(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
+def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
     """Topics of gyro and poses; '' if there is none."""
     there = {relative(topic) for topic, info in bag.topics.items() if info.count}
     gyro = args.gyro or next((source for source in p.yaw_rate_sources if source in there), "")

@@ -7,10 +7,10 @@ import shlex
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.check.bag import check_bag, settings, whole
+from trackslip_tools.check.bag import check_bag, remedy_settings, setup_report
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.outputs import require_writable, write_json
-from trackslip_tools.cli.progress import counted
+from trackslip_tools.cli.progress import progress_bar
 
 EXAMPLE = "trackslip check out/demo/bag --json check.json"
 
@@ -31,12 +31,13 @@ def run(args: argparse.Namespace) -> int:
     with open_bag(args.bag, args.namespace) as bag:
         replay_options.note_damage(bag)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
-        with counted(bag.duration_s, "checking") as advance:
+        with progress_bar(bag.duration_s, "checking") as advance:
             result = check_bag(bag, p, advance=advance)
-    show(whole(result))
+    show(setup_report(result))
     if args.json is not None:
         write_json(args.json, result.as_dict())
-    elif result.is_plausible or settings(result):
-        remedies = [word for setting in settings(result) for word in ("--set", setting)]
-        show(f"next: trackslip replay {shlex.join([str(args.bag), *shared_options.stated(args), *remedies])}")
+    elif result.is_plausible or remedy_settings(result):
+        remedies = [word for setting in remedy_settings(result) for word in ("--set", setting)]
+        words = [str(args.bag), *shared_options.next_command_options(args), *remedies]
+        show(f"next: trackslip replay {shlex.join(words)}")
     return ExitCode.DONE if result.is_plausible else ExitCode.FAILED

@@ -17,7 +17,7 @@ class Command(NamedTuple):
     description: str
 
 
-_ALL = {
+_COMMANDS = {
     "calibrate": Command(
         "trackslip_tools.cli.calibrate_command",
         "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals.",
@@ -79,7 +79,7 @@ _ALL = {
 }
 
 
-def commands() -> dict[str, Command]:
+def installed_commands() -> dict[str, Command]:
     """Name → command; those of the simulator only if it is installed."""
     there = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
-    return {name: c for name, c in _ALL.items() if c.module.partition(".")[0] in there}
+    return {name: c for name, c in _COMMANDS.items() if c.module.partition(".")[0] in there}

@@ -8,17 +8,19 @@ from trackslip_bags.parameters import bag_vehicle, namespaces
 from trackslip_bags.reader import Bag, in_namespace
 from trackslip_common.errors import printable
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
-from trackslip_tools.terminal_text import table, wrapped
+from trackslip_tools.terminal_text import table, wrap_line
 
-_LATEST = 253_402_300_800  # s since 1970, the end of the calendar
-_HEAD = ("topic", "count", "Hz", "type")
+_CALENDAR_END_S = 253_402_300_800  # s since 1970, the end of the calendar
+_COLUMNS = ("topic", "count", "Hz", "type")
 
 
 def describe(bag: Bag) -> str:
     """Facts and a table of topics; rates are means over the bag's whole duration."""
     began = bag.start_ns * 1e-9
     start = (
-        f"{datetime.fromtimestamp(began, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if began < _LATEST else "?"
+        f"{datetime.fromtimestamp(began, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
+        if began < _CALENDAR_END_S
+        else "?"
     )
     lines = [
         f"bag       {bag.path}",
@@ -26,22 +28,22 @@ def describe(bag: Bag) -> str:
         f"duration  {bag.duration_s:.3f} s",
         f"messages  {bag.message_count}",
     ]
-    lines += _vehicles(bag)
+    lines += _vehicle_lines(bag)
     if bag.damage:
         lines.append(f"damage    {bag.damage} (trackslip recover rewrites what can be read)")
     rows = [
         (
             printable(topic),
             str(info.count),
-            _rate(info.count, bag.duration_s),
+            _rate_text(info.count, bag.duration_s),
             printable(", ".join(sorted({info.type_name, *info.other_types}))),
         )
         for topic, info in sorted(bag.topics.items())
     ]
-    return "\n".join([*map(wrapped, lines), "", table(_HEAD, rows, (False, True, True, False))])
+    return "\n".join([*map(wrap_line, lines), "", table(_COLUMNS, rows, (False, True, True, False))])
 
 
-def _vehicles(bag: Bag) -> list[str]:
+def _vehicle_lines(bag: Bag) -> list[str]:
     """One line for each machine, with its namespace."""
     lines = []
     for namespace in namespaces(bag):
@@ -51,5 +53,5 @@ def _vehicles(bag: Bag) -> list[str]:
     return lines
 
 
-def _rate(count: int, duration_s: float) -> str:
+def _rate_text(count: int, duration_s: float) -> str:
     return f"{count / duration_s:.2f}" if duration_s > 0.0 else "-"

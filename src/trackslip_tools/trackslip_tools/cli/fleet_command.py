@@ -9,14 +9,14 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError, show
 from trackslip_tools.cli import worker_options
-from trackslip_tools.cli.elapsed import waited_s
+from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import require_writable, write_json
-from trackslip_tools.cli.progress import shown
+from trackslip_tools.cli.progress import iterate_with_bar
 from trackslip_tools.fleet.entry import Entry, exit_code
 from trackslip_tools.fleet.find import find_bags, is_folder
 from trackslip_tools.fleet.table import notes, text
 
-_ONE_BAG = ("output", "publish")  # replay options for a single bag
+_SINGLE_BAG_OPTIONS = ("output", "publish")  # replay options for a single bag
 
 
 def is_fleet(paths: Sequence[Path]) -> bool:
@@ -30,24 +30,24 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entr
     Raises:
         InputError: an option or the workers cannot be used.
     """
-    for option in _ONE_BAG:
+    for option in _SINGLE_BAG_OPTIONS:
         if getattr(args, option):
             raise InputError(f"--{option}: not with several bags; accepted: one bag")
     require_writable(json=args.json)
-    entries = work(args, one)
+    entries = process_bags(args, one)
     if args.json is not None:
         write_json(args.json, [entry.as_dict() for entry in entries])
     return exit_code(entries)
 
 
-def work(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> list[Entry]:
+def process_bags(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> list[Entry]:
     """Results of the bags that ``args`` name, in order; prints their table."""
     bags = find_bags(args.bags)
-    with worker_options.chosen(args, shared=args, most=len(bags)) as mapped:
-        entries = list(shown(mapped(one, bags), f"{len(bags)} bags", total=len(bags)))
+    with worker_options.requested_workers(args, shared=args, most=len(bags)) as mapped:
+        entries = list(iterate_with_bar(mapped(one, bags), f"{len(bags)} bags", total=len(bags)))
     for note in notes(entries):
         show(note, file=sys.stderr)
     show(text(entries))
     total_s = sum(entry.summary.get("duration_s", 0.0) for entry in entries)
-    show(f"{len(bags)} bags, {total_s:.0f} s, in {waited_s():.1f} s")
+    show(f"{len(bags)} bags, {total_s:.0f} s, in {waiting_time_s():.1f} s")
     return entries

@@ -20,8 +20,8 @@ from trackslip_common.whole_file import write_atomically
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.description import describe
-from trackslip_tools.cli.progress import counted
-from trackslip_tools.terminal_text import wrapped
+from trackslip_tools.cli.progress import progress_bar
+from trackslip_tools.terminal_text import wrap_line
 
 _VEHICLE = "excavator_20t"
 
@@ -57,15 +57,15 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--output is missing; accepted: a directory to create, for the bag")
     refuse_existing(args.output)
     mapping = read_mapping(config_file(args.mapping), vehicle)
-    with counted(None, "importing"):
+    with progress_bar(None, "importing"):
         imported = import_log(args.logs, mapping, args.output)
     with open_bag(args.output) as bag:
-        setup = replay_options.setup_of(bag)
+        setup = replay_options.check_setup(bag)
         show(describe(bag))
     for line in _notes(imported):
         show(line)
     for line in setup.facts if setup is not None else ():
-        show(wrapped(line))
+        show(wrap_line(line))
     show(f"next: trackslip {'replay' if setup is None or setup.is_plausible else 'check'} {args.output}")
     return ExitCode.DONE
 

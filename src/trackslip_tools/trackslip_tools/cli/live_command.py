@@ -18,8 +18,8 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, show
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_tools.cli import publish, replay_options, shared_options
-from trackslip_tools.cli.nodes import node_module
-from trackslip_tools.cli.progress import counted, following
+from trackslip_tools.cli.nodes import load_node_module
+from trackslip_tools.cli.progress import progress_bar, replay_progress
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 
 EXAMPLE = "trackslip live out/demo/bag --rate 5"
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     shared_options.add_namespace(parser)
     of_bag = parser.add_argument_group("over a bag")
-    of_bag.add_argument("--rate", metavar="R", type=publish.rate, help="times real time (default: 1)")
+    of_bag.add_argument("--rate", metavar="R", type=publish.parse_rate, help="times real time (default: 1)")
     shared_options.add_vehicle(of_bag, "the bag's")
     of_bag.add_argument("--start", metavar="S", type=float, help="seconds from the bag's first message")
 
@@ -50,16 +50,16 @@ def run(args: argparse.Namespace) -> int:
     given = {name: value for name, value in given.items() if value is not None}
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
-        p.allowed(p.port)  # reports errors before the replay
+        p.allowed_hosts(p.port)  # reports errors before the replay
         with open_bag(args.bag, args.namespace) as bag:
-            setup = replay_options.setup_of(bag, args.vehicle) or Result()
-            with with_estimates(bag, args.vehicle) as whole:
+            setup = replay_options.check_setup(bag, args.vehicle) or Result()
+            with bag_with_estimates(bag, args.vehicle) as whole:
                 return _serve(whole, p, args, setup)
     if any(given is not None for given in (args.rate, args.start, args.vehicle)):
         raise InputError("--rate, --start, --vehicle: accepted only together with a BAG")
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
     options += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
-    code: int = node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *options])
+    code: int = load_node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *options])
     return code
 
 
@@ -67,7 +67,7 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result)
     from trackslip_bags.parameters import bag_vehicle
     from trackslip_common.vehicle_files import load_vehicle
     from trackslip_tools.live.bag import BagFeed
-    from trackslip_tools.live.page import files
+    from trackslip_tools.live.page import page_files
     from trackslip_tools.live.server import PageServer
     from trackslip_tools.live.state import PERIOD, LiveState
 
@@ -78,12 +78,12 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result)
     if not setup.is_plausible:
         state.set_setup(setup.headline)
     feed = BagFeed(bag, state, rate, InputFilters(start_s=args.start or 0.0))
-    server = PageServer(files(f"Trackslip: {name}"), state.whole, p)
+    server = PageServer(page_files(f"Trackslip: {name}"), state.full_state, p)
     server.start()
     try:
         show(f"{server.address} shows {bag.path}; Ctrl-C ends it")
         sys.stdout.flush()
-        while not feed.finished:
+        while not feed.is_finished:
             server.push(feed.advance(time.monotonic()))
             time.sleep(PERIOD)
         show("end of the bag; the page stays open", file=sys.stderr)
@@ -95,13 +95,13 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result)
 
 
 @contextmanager
-def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
+def bag_with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
     """Context of the bag; if the bag has no estimates, those of a replay are added."""
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag
         return
     from trackslip_tools.replay.output import EstimateWriter
-    from trackslip_tools.replay.parts import together
+    from trackslip_tools.replay.parts import combine_watches
     from trackslip_tools.replay.run import replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
@@ -109,8 +109,8 @@ def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
     of_soil = replay_options.soil_parameters_of(bag, p, [], [])
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
-        with EstimateWriter(path, p) as writer, counted(bag.duration_s, "replaying") as advance:
-            watch = together(following(bag, advance), writer.add)
+        with EstimateWriter(path, p) as writer, progress_bar(bag.duration_s, "replaying") as advance:
+            watch = combine_watches(replay_progress(bag, advance), writer.add)
             result = replay(bag, p, InputFilters(), None, of_soil, watch)
             if result.soil is not None:
                 writer.add_soil(result.soil)

@@ -18,7 +18,7 @@ from trackslip_common.console import escape_unencodable, report_output_failure
 from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli import progress
-from trackslip_tools.cli.commands import Command, commands
+from trackslip_tools.cli.commands import Command, installed_commands
 from trackslip_tools.cli.elapsed import begin_command
 
 
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         begin_command()
     try:
-        args = parse(sys.argv[1:] if argv is None else argv)
+        args = parse_arguments(sys.argv[1:] if argv is None else argv)
         with announce_compilation(progress.show_status):
             code: int = args.run(args)
         sys.stdout.flush()
@@ -75,13 +75,13 @@ def _open_closed_output() -> None:
             setattr(sys, name, nowhere)
 
 
-def parse(argv: Sequence[str]) -> argparse.Namespace:
+def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of a command, and its ``run`` function.
 
     Raises:
         InputError: the command or an argument is unknown.
     """
-    known = commands()
+    known = installed_commands()
     asked = next((word for word in argv if not word.startswith("-")), None)
     if asked is not None and asked not in known:
         raise InputError(
@@ -96,14 +96,14 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and exit")
     added = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, command in known.items():
-        _add(added, name, command, whole=name == asked)
+        _add_command(added, name, command, whole=name == asked)
     args, unknown = parser.parse_known_args(argv)
     if unknown and asked is not None:
-        _refuse(unknown, added.choices[asked])
+        _refuse_arguments(unknown, added.choices[asked])
     return args
 
 
-def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
+def _refuse_arguments(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
     """Raise InputError for a mistyped option or an extra word."""
     options = [option for action in parser._actions for option in action.option_strings]
     like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
@@ -111,7 +111,7 @@ def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn
     raise InputError(f"{parser.prog}: unrecognized arguments: {words}{like} (see {parser.prog} --help)")
 
 
-def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:
+def _add_command(added: Any, name: str, command: Command, *, whole: bool) -> None:
     """Add a command; ``whole``: with its arguments, which requires its module."""
     text = command.description.replace("%", "%%")  # argparse formats this text
     parser = added.add_parser(name, help=text, description=command.description)

@@ -10,7 +10,7 @@ from typing import Any
 from trackslip_common.errors import InputError
 
 
-def node_module(name: str, asked_by: str) -> Any:
+def load_node_module(name: str, asked_by: str) -> Any:
     """The module of a node, by its full name.
 
     Raises:

@@ -12,9 +12,9 @@ from trackslip_common.errors import InputError
 from trackslip_common.whole_file import write_atomically
 
 # First characters of the files.
-PAGE = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
-PNG = b"\x89PNG\r\n\x1a\n"
-_JSON = ("{", "[")
+PAGE_PREFIX = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
+PNG_PREFIX = b"\x89PNG\r\n\x1a\n"
+_JSON_PREFIXES = ("{", "[")
 
 
 def require_writable(**files: Path | None) -> None:
@@ -36,12 +36,12 @@ def require_writable(**files: Path | None) -> None:
             why = "Permission denied"
         else:
             if option == "json":
-                refuse_foreign(option, path, *_JSON)
+                refuse_foreign_file(option, path, *_JSON_PREFIXES)
             continue
         raise InputError(f"--{option}: '{path}' cannot be written ({why})")
 
 
-def refuse_foreign(option: str, path: Path, *beginnings: str | bytes) -> None:
+def refuse_foreign_file(option: str, path: Path, *beginnings: str | bytes) -> None:
     """Check that an existing file begins as the outputs of this option do.
 
     A bag or a text that was named by mistake is therefore not replaced.
@@ -94,12 +94,12 @@ def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> No
     Raises:
         InputError: the file cannot be written.
     """
-    write_file("json", path, json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
+    write_file("json", path, json.dumps(_replace_nan(content), indent=2, allow_nan=False) + "\n")
 
 
-def _without_nan(value: Any) -> Any:
+def _replace_nan(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: _replace_nan(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_without_nan(item) for item in value]
+        return [_replace_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -15,20 +15,20 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_relabel: list[Callable[[str], None]] = []  # label setters of the open bars, the innermost last
+_label_setters: list[Callable[[str], None]] = []  # label setters of the open bars, the innermost last
 
 
-def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
+def iterate_with_bar(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
     """Yield the items and show a bar on stderr; ``total`` for items without a length."""
     whole = len(items) if total is None and isinstance(items, Sized) else total
-    with counted(whole, label) as advance:
+    with progress_bar(whole, label) as advance:
         for item in items:
             yield item
             advance(1)
 
 
 @contextmanager
-def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]]:
+def progress_bar(total: float | None, label: str) -> Iterator[Callable[[float], None]]:
     """Context of a bar on stderr; the yielded function advances the bar.
 
     ``total`` None: unknown; the bar only shows activity.
@@ -43,24 +43,24 @@ def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]
     columns += [] if total is None else [TaskProgressColumn(), TimeRemainingColumn()]
     with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(label, total=total)
-        _relabel.append(lambda text: bar.update(task, description=text or label))
+        _label_setters.append(lambda text: bar.update(task, description=text or label))
         try:
             yield lambda done: bar.advance(task, done)
         finally:
-            _relabel.pop()
+            _label_setters.pop()
 
 
 def show_status(text: str) -> None:
     """Replace the bar's label, or the cursor's line on a terminal; an empty text restores it."""
-    (_relabel[-1] if _relabel else show_in_place)(text)
+    (_label_setters[-1] if _label_setters else show_in_place)(text)
 
 
-def in_shares(advance: Callable[[float], None], whole: float) -> Callable[[float], None]:
+def scale_progress(advance: Callable[[float], None], whole: float) -> Callable[[float], None]:
     """Advances a bar of items by parts of one item, which sum to ``whole``."""
     return lambda part: advance(part / (whole or 1.0))
 
 
-def following(bag: "Bag", advance: Callable[[float], None]) -> Callable[["Part"], None]:
+def replay_progress(bag: "Bag", advance: Callable[[float], None]) -> Callable[["Part"], None]:
     """Watch of a replay that advances a bar of seconds."""
     reached_ns = bag.start_ns
 

@@ -18,10 +18,10 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError, show, suggestion
-from trackslip_tools.cli.nodes import node_module, shorten_logs
+from trackslip_tools.cli.nodes import load_node_module, shorten_logs
 
-_RATES = (0.01, 100.0)
-_OFFLINE = (
+_RATE_LIMITS = (0.01, 100.0)
+_OFFLINE_OPTIONS = (
     "params",
     "set",
     "vehicle",
@@ -30,7 +30,7 @@ _OFFLINE = (
     "output",
     "json",
 )  # options rejected together with --publish
-_LIVE = ("rate", "paused", "loop", "also")  # options accepted only together with --publish
+_LIVE_OPTIONS = ("rate", "paused", "loop", "also")  # options accepted only together with --publish
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("driving a live graph (needs ROS)")
     add = group.add_argument
     add("--publish", action="store_true", help="publish the bag and /clock instead; the space bar pauses")
-    add("--rate", metavar="R", type=rate, help="times real time (default: 1)")
+    add("--rate", metavar="R", type=parse_rate, help="times real time (default: 1)")
     add("--paused", action="store_true", help="begin paused: the space bar or /replay/pause starts it")
     add("--loop", action="store_true", help="begin again at the end")
     add(
@@ -56,7 +56,7 @@ def refuse_without_publish(args: argparse.Namespace) -> None:
     Raises:
         InputError: one of them is given.
     """
-    _refuse(args, _LIVE, "only together with --publish")
+    _refuse_options(args, _LIVE_OPTIONS, "only together with --publish")
 
 
 def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
@@ -65,10 +65,10 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     Raises:
         InputError: an option or a topic cannot be used, or ROS is not available.
     """
-    _refuse(args, _OFFLINE, "not together with --publish")
+    _refuse_options(args, _OFFLINE_OPTIONS, "not together with --publish")
     require_topics(bag, [*filters.remap, *args.also])
     shorten_logs()
-    player = node_module("trackslip_bags.nodes.player", "--publish")
+    player = load_node_module("trackslip_bags.nodes.player", "--publish")
     topics = played_topics(bag, filters, args.also)
     for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
         show(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
@@ -79,30 +79,32 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     playback = Playback(partial(played, bag, filters, topics), args.rate or 1.0, args.paused, args.loop)
     if playback.finished:
         raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")
-    with Keyboard() as keyboard, _progress(bag) as progress:
-        code: int = player.play(playback, topics, keyboard.typed, progress)
+    with Keyboard() as keyboard, _playback_bar(bag) as progress:
+        code: int = player.play(playback, topics, keyboard.read_keys, progress)
     show(f"{sum(playback.counts.values())} messages published")
     for topic, count in sorted(playback.counts.items()):
         show(f"  {topic:<24}{count:>8}")
     return code
 
 
-def rate(text: str) -> float:
+def parse_rate(text: str) -> float:
     """Parse a multiple of real time."""
     with suppress(ValueError):
-        if _RATES[0] <= float(text) <= _RATES[1]:
+        if _RATE_LIMITS[0] <= float(text) <= _RATE_LIMITS[1]:
             return float(text)
-    raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: {_RATES[0]:g} to {_RATES[1]:g}")
+    raise argparse.ArgumentTypeError(
+        f"'{text}' is refused; accepted: {_RATE_LIMITS[0]:g} to {_RATE_LIMITS[1]:g}"
+    )
 
 
-def _refuse(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
+def _refuse_options(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
     given = [f"--{name}" for name in names if getattr(args, name)]
     if given:
         raise InputError(f"{', '.join(given)}: accepted {why}")
 
 
 @contextmanager
-def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
+def _playback_bar(bag: Bag) -> Iterator[Callable[[Playback], None]]:
     """Context of a function that shows the playback's position: a bar on a terminal, nothing in a pipe."""
     if not sys.stderr.isatty():
         yield lambda _: None
@@ -129,7 +131,7 @@ class Keyboard:
         self._saved: list[Any] | None = None
 
     def __enter__(self) -> "Keyboard":
-        if sys.stdin.isatty() and _is_in_front(sys.stdin.fileno()):
+        if sys.stdin.isatty() and _is_foreground(sys.stdin.fileno()):
             self._saved = termios.tcgetattr(sys.stdin.fileno())
             tty.setcbreak(sys.stdin.fileno())
         return self
@@ -144,7 +146,7 @@ class Keyboard:
             termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._saved)
             self._saved = None
 
-    def typed(self) -> str:
+    def read_keys(self) -> str:
         """The keys typed since the last call."""
         text = ""
         while self._saved is not None and select.select([sys.stdin], [], [], 0.0)[0]:
@@ -155,7 +157,7 @@ class Keyboard:
         return text
 
 
-def _is_in_front(terminal: int) -> bool:
+def _is_foreground(terminal: int) -> bool:
     """Whether this is the foreground job; a background job is stopped when it changes terminal settings."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()

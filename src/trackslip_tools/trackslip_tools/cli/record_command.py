@@ -5,7 +5,7 @@
 import argparse
 import json
 
-from trackslip_tools.cli.nodes import node_module, shorten_logs
+from trackslip_tools.cli.nodes import load_node_module, shorten_logs
 
 EXAMPLE = "trackslip record --output runs/field_3 --more-topics '/gnss.*' --split-duration 600"
 
@@ -31,5 +31,5 @@ def run(args: argparse.Namespace) -> int:
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
     shorten_logs()
-    code: int = node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *options])
+    code: int = load_node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *options])
     return code

@@ -10,7 +10,7 @@ from trackslip_bags.recovery.recover import Recovery, recover
 from trackslip_bags.writer import CHUNK_SPAN_NS, refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli.description import describe
-from trackslip_tools.cli.progress import counted
+from trackslip_tools.cli.progress import progress_bar
 
 EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"
 
@@ -28,16 +28,16 @@ def run(args: argparse.Namespace) -> int:
     damaged = args.bag.resolve()
     output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
     refuse_existing(output)
-    with counted(1.0, "recovering") as advance:
+    with progress_bar(1.0, "recovering") as advance:
         recovery = recover(args.bag, output, advance)
-    for line in _lines(recovery):
+    for line in _loss_lines(recovery):
         show(line)
     with open_bag(output) as bag:
         show(describe(bag))
     return ExitCode.DONE if recovery.messages or recovery.stated == 0 else ExitCode.FAILED
 
 
-def _lines(recovery: Recovery) -> list[str]:
+def _loss_lines(recovery: Recovery) -> list[str]:
     """Lines on the losses."""
     lines = list(recovery.problems)
     if recovery.lost_bytes:

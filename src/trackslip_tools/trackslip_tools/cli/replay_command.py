@@ -12,14 +12,14 @@ from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import fleet_command, publish, replay_options, shared_options, worker_options
-from trackslip_tools.cli.elapsed import waited_s
+from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import require_writable, write_json
-from trackslip_tools.cli.progress import counted, following
+from trackslip_tools.cli.progress import progress_bar, replay_progress
 from trackslip_tools.fleet.entry import Entry, entry_of
 from trackslip_tools.replay.output import EstimateWriter, summary, text
-from trackslip_tools.replay.parts import Watch, together
+from trackslip_tools.replay.parts import Watch, combine_watches
 from trackslip_tools.replay.result import Replay
-from trackslip_tools.replay.run import learned_before, replay
+from trackslip_tools.replay.run import learned_before_bag, replay
 
 EXAMPLE = (
     "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.sources.box_pose.timeout=3"
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if fleet_command.is_fleet(args.bags):
         if not args.publish:
             publish.refuse_without_publish(args)
-        return fleet_command.run(args, _entry)
+        return fleet_command.run(args, _bag_entry)
     refuse_existing(args.output)
     require_writable(json=args.json)
     with open_bag(args.bags[0], args.namespace) as bag:
@@ -59,51 +59,51 @@ def run(args: argparse.Namespace) -> int:
             replay_options.note_damage(bag)
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
-        with counted(bag.duration_s, "replaying") as advance:
-            result = _replayed(bag, args, [following(bag, advance)])
-    show(text(result, waited_s()))
+        with progress_bar(bag.duration_s, "replaying") as advance:
+            result = _replay_bag(bag, args, [replay_progress(bag, advance)])
+    show(text(result, waiting_time_s()))
     if args.output is not None:
         show(f"estimates: {args.output}")
     if args.json is not None:
-        write_json(args.json, summary(result, waited_s()))
+        write_json(args.json, summary(result, waiting_time_s()))
     has_failed = result.has_failed(force=args.force)
     if args.output is None and args.json is None:
-        show(_next(args, has_failed=has_failed))
+        show(_next_command(args, has_failed=has_failed))
     return ExitCode.FAILED if has_failed else ExitCode.DONE
 
 
-def _next(args: argparse.Namespace, *, has_failed: bool) -> str:
+def _next_command(args: argparse.Namespace, *, has_failed: bool) -> str:
     """The suggested next command; reports take one parameter file per run, because they compare several."""
     if len(args.params) > 1 and not has_failed:
         bag = shlex.quote(str(args.bags[0]))
         return f"next: trackslip report {bag}, with --params as one file: it compares several"
     command, output = ("check", []) if has_failed else ("report", ["--output", f"{args.bags[0].stem}.html"])
-    words = [command, str(args.bags[0]), *shared_options.stated(args), *output]
+    words = [command, str(args.bags[0]), *shared_options.next_command_options(args), *output]
     return f"next: trackslip {shlex.join(words)}"
 
 
-def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
+def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
     """Replay with the options, and write ``--output`` if given."""
     replay_options.note_damage(bag)
     given = args.params, args.set
-    p, filters, reference = replay_options.setting_of(
+    p, filters, reference = replay_options.read_settings(
         bag, replay_options.options_of(args), *given, args.vehicle
     )
     of_soil = replay_options.soil_parameters_of(bag, p, *given)
-    learned, _ = learned_before(bag, p)
+    learned, _ = learned_before_bag(bag, p)
     with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
-        watch = together(*watches, *([writer.add] if writer else []))
+        watch = combine_watches(*watches, *([writer.add] if writer else []))
         result = replay(bag, p, filters, reference, of_soil, watch)
         if writer and result.soil is not None:
             writer.add_soil(result.soil)
     return result
 
 
-def _entry(args: argparse.Namespace, path: Path) -> Entry:
+def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
     """Result of one bag of many; runs in a worker."""
 
     def replayed(watch: Watch) -> tuple[Replay, str]:
         with open_bag(path, args.namespace) as bag:
-            return _replayed(bag, args, [watch]), ""
+            return _replay_bag(bag, args, [watch]), ""
 
     return entry_of(path, replayed, force=args.force)

@@ -30,13 +30,16 @@ from trackslip_estimation.slip.parameters import (
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_tools.check.bag import check_bag, finding
+from trackslip_tools.check.bag import check_bag, setup_summary
 from trackslip_tools.cli import shared_options
 from trackslip_tools.replay.inputs import SPROCKETS
 
-_KINDS: Mapping[str, type[Parameters]] = {NODE: SlipEstimatorParameters, SOIL_NODE: SoilEstimatorParameters}
-_LONGEST = 1e9  # s, about thirty years
-_POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
+_PARAMETER_CLASSES: Mapping[str, type[Parameters]] = {
+    NODE: SlipEstimatorParameters,
+    SOIL_NODE: SoilEstimatorParameters,
+}
+_MAX_TIME_S = 1e9  # s, about thirty years
+_POSE_TYPES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,8 @@ class ReplayOptions:
         Raises:
             InputError: an option has another form, or a value out of range.
         """
-        if not -_LONGEST <= self.start < self.stop or _LONGEST < self.stop < math.inf:
-            accepted = f"start before stop, both at most {_LONGEST:g} s"
+        if not -_MAX_TIME_S <= self.start < self.stop or _MAX_TIME_S < self.stop < math.inf:
+            accepted = f"start before stop, both at most {_MAX_TIME_S:g} s"
             raise InputError(f"--start {self.start:g} --stop {self.stop:g}: accepted: {accepted}")
         return InputFilters(
             start_s=self.start,
@@ -70,7 +73,7 @@ class ReplayOptions:
         )
 
     @property
-    def scored_against(self) -> str | None:
+    def reference_topic(self) -> str | None:
         """The topic without a leading slash."""
         return relative(self.reference) if self.reference else None
 
@@ -103,7 +106,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="keep a topic at HZ; SIGMA m of noise is added to its positions",
     )
-    add("--seed", metavar="N", type=_seed, default=usual.seed, help="of the added noise")
+    add("--seed", metavar="N", type=_parse_seed, default=usual.seed, help="of the added noise")
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
 
 
@@ -127,7 +130,7 @@ def parameters_of(
         InputError: a file, a name or a value is rejected.
     """
     of_bag = bag_vehicle(bag)
-    carried, *given = _layers(bag, files, settings, NODE)
+    carried, *given = _parameter_layers(bag, files, settings, NODE)
     named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle, **_antenna_of(vehicle, carried)}
     p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, carried, named, *given)
     if any(map(has_vehicle_name, (named, *given))):
@@ -171,18 +174,20 @@ def soil_parameters_of(
     if p.vehicle.missing_groups_message:
         show(f"soil: {p.vehicle.missing_groups_message}: no forces and no soil are estimated")
         return None
-    carried, *given = _layers(bag, files, settings, SOIL_NODE)
+    carried, *given = _parameter_layers(bag, files, settings, SOIL_NODE)
     return load_soil_parameters(carried, *given, vehicle_layer(p.vehicle))
 
 
-def _layers(bag: Bag, files: Iterable[str], settings: Iterable[str], node: str) -> list[Mapping[str, Any]]:
+def _parameter_layers(
+    bag: Bag, files: Iterable[str], settings: Iterable[str], node: str
+) -> list[Mapping[str, Any]]:
     """Parameters of a node from the bag, from each file, and from ``--set``, in this order."""
-    carried = _carried(bag, node)
-    given = [_given(name, node, carried) for name in files]
-    return [carried, *given, _of_today(parse_settings(settings, node), carried, "--set")]
+    carried = _bag_parameters(bag, node)
+    given = [_file_parameters(name, node, carried) for name in files]
+    return [carried, *given, _current_parameters(parse_settings(settings, node), carried, "--set")]
 
 
-def _of_today(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _current_parameters(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Parameters under their current names; lists of sources in older formats refer to the bag's sources."""
     sources = {kind: carried[kind] for kind in SOURCE_LISTS if kind in carried}
     renamed = current_names({**sources, **given})
@@ -192,11 +197,11 @@ def _of_today(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) 
     return values
 
 
-def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
+def _bag_parameters(bag: Bag, node: str) -> Mapping[str, Any]:
     """The bag's parameters that this version has, under their current names."""
     stated, where = stated_parameters(bag, node), f"bag '{bag.path}'"
     carried = current_names(stated)
-    known = _known(node, carried, where)
+    known = _known_parameters(node, carried, where)
     notes = [f"'{name}' is not one of this version" for name in sorted(carried.keys() - known)]
     if node == NODE and carried.keys() != stated.keys():
         notes.append("those of an earlier version are read by the names of today")
@@ -205,33 +210,33 @@ def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
     return {name: value for name, value in carried.items() if name in known}
 
 
-def _given(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any]:
+def _file_parameters(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any]:
     """The parameters of a node in a file, without those for other nodes in its shared sections."""
     path = config_file(name)
     tree = read_yaml(path)
-    by_node = {n: node_parameters(tree, n, str(path)) for n in _KINDS}
+    by_node = {n: node_parameters(tree, n, str(path)) for n in _PARAMETER_CLASSES}
     if not any(by_node.values()):
         accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
         raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
-    given = _of_today(by_node[node], carried, str(path))
-    known = _known(node, {**carried, **given}, str(path))
+    given = _current_parameters(by_node[node], carried, str(path))
+    known = _known_parameters(node, {**carried, **given}, str(path))
     others = current_names(node_parameters(tree, "", str(path))).keys() - known
     for other in sorted(others) if node == NODE else ():
-        if other not in {n for n, _, _ in flat_fields(_KINDS[SOIL_NODE])}:
+        if other not in {n for n, _, _ in flat_fields(_PARAMETER_CLASSES[SOIL_NODE])}:
             show(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
     return {n: v for n, v in given.items() if n not in others}
 
 
-def _known(node: str, values: Mapping[str, Any], where: str) -> set[str]:
+def _known_parameters(node: str, values: Mapping[str, Any], where: str) -> set[str]:
     """Names of a node's parameters, when these values override its defaults."""
-    kind = _KINDS[node]
+    kind = _PARAMETER_CLASSES[node]
     return {
         *known_names(kind, kind.overlay(node_defaults(node, f"{node}.yaml"), values), where),
         *kind.EXTRA_NAMES,
     }
 
 
-def setting_of(
+def read_settings(
     bag: Bag,
     options: ReplayOptions,
     files: Iterable[str],
@@ -243,20 +248,20 @@ def setting_of(
     Raises:
         InputError: a file, a name or a value is rejected, or an option names an unknown topic.
     """
-    filters, reference = options.filters(), options.scored_against
+    filters, reference = options.filters(), options.reference_topic
     p = parameters_of(bag, files, settings, vehicle)
-    require_named(bag, p, filters, reference)
+    require_named_topics(bag, p, filters, reference)
     return p, filters, reference
 
 
-def setup_of(bag: Bag, vehicle: str | None = None) -> Result | None:
+def check_setup(bag: Bag, vehicle: str | None = None) -> Result | None:
     """Print and return the result of the setup check of a whole bag; None without sprockets."""
     if not any(relative(topic) == SPROCKETS for topic in bag.topics):
         return None
     with collect_output():  # suppresses the line on the vehicle, printed with the rest
         p = parameters_of(bag, [], [], vehicle)
     result = check_bag(bag, p)
-    show(finding(result))
+    show(setup_summary(result))
     return result
 
 
@@ -266,7 +271,9 @@ def note_damage(bag: Bag) -> None:
         show(f"note: {bag.damage}", file=sys.stderr)
 
 
-def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> None:
+def require_named_topics(
+    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None
+) -> None:
     """Check that options name only known topics.
 
     Raises:
@@ -278,8 +285,8 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, r
         require_topics(bag, [reference])
         renamed = f"--remap reads it as {filters.remap[reference]}"
         raise InputError(f"--reference {reference}: {renamed}; accepted: the name that it has then")
-    if reference is not None and types[reference] not in _POSES:
-        accepted = " or ".join(_POSES)
+    if reference is not None and types[reference] not in _POSE_TYPES:
+        accepted = " or ".join(_POSE_TYPES)
         raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")
     known = types.keys() | {SPROCKETS, *p.timeouts_ns()}
     for option, named in (("--withhold", filters.withhold), ("--thin", filters.thin)):
@@ -312,7 +319,7 @@ def parse_set(text: str, of_node: str = NODE) -> tuple[str, Any]:
     return parameter, parse_yaml(value, f"--set {text}")
 
 
-def _seed(text: str) -> int:
+def _parse_seed(text: str) -> int:
     """Parse a seed of numpy's generators."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 0")

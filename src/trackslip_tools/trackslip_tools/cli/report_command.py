@@ -14,15 +14,21 @@ from trackslip_common.arrays import Rows
 from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
-from trackslip_tools.check.bag import finding
+from trackslip_tools.check.bag import setup_summary
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
-from trackslip_tools.cli.outputs import PAGE, make_folder, refuse_foreign, require_writable, write_file
-from trackslip_tools.cli.progress import counted, following, in_shares
+from trackslip_tools.cli.outputs import (
+    PAGE_PREFIX,
+    make_folder,
+    refuse_foreign_file,
+    require_writable,
+    write_file,
+)
+from trackslip_tools.cli.progress import progress_bar, replay_progress, scale_progress
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
 from trackslip_tools.fleet.pages import INDEX, write_pages
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.parts import Watch, together
+from trackslip_tools.replay.parts import Watch, combine_watches
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import replay
 from trackslip_tools.report.details import Details
@@ -34,7 +40,7 @@ from trackslip_tools.smoothing.smooth_bag import smooth_bag
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 
-_OWN = "own"
+_OWN_PARAMETERS = "own"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--params",
         metavar="FILE",
         action="append",
-        help=f"ROS parameter file over the bag's own; several are compared, '{_OWN}' is none of them",
+        help="ROS parameter file over the bag's own; several are compared, "
+        f"'{_OWN_PARAMETERS}' is none of them",
     )
     replay_options.add_options(parser)
     replay_options.add_force(parser)
@@ -67,82 +74,82 @@ def run(args: argparse.Namespace) -> int:
     """Replay, write the page, and print its path."""
     replay_options.options_of(args).filters()  # reports errors before the work, as for the limits
     limits = load_limits(args.limits or ())
-    files = args.params or [_OWN]
+    files = args.params or [_OWN_PARAMETERS]
     if any(map(is_folder, args.bags)):
-        return _pages(args, files)
+        return _write_folder(args, files)
     count = len(args.bags) * len(files)
     if count > MOST_RUNS:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
-    names = distinct(args.bags)
+    names = distinct_names(args.bags)
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
-    refuse_foreign("output", args.output, PAGE)
-    with counted(len(pairs), "replaying") as advance:
+    refuse_foreign_file("output", args.output, PAGE_PREFIX)
+    with progress_bar(len(pairs), "replaying") as advance:
         for path, name in pairs:
-            label = _label(names[path], name, *several)
+            label = _run_label(names[path], name, *several)
             with open_bag(path, args.namespace) as bag:
-                watch = following(bag, in_shares(advance, bag.duration_s))
-                runs.append(_run(args, bag, name, recordings.get(path), label, watch))
+                watch = replay_progress(bag, scale_progress(advance, bag.duration_s))
+                runs.append(_replay_run(args, bag, name, recordings.get(path), label, watch))
             recordings[path] = runs[-1].recording
-    page = _page(runs, limits)
+    page = _render_page(runs, limits)
     write_file("output", args.output, page)
     for one in runs:
-        show((f"{one.label}: " if len(runs) > 1 else "") + finding(one.replay.setup))
+        show((f"{one.label}: " if len(runs) > 1 else "") + setup_summary(one.replay.setup))
     show(f"report: {args.output} ({len(page) / 1e6:.1f} MB)")
     return ExitCode.FAILED if all(one.replay.has_failed(force=args.force) for one in runs) else ExitCode.DONE
 
 
-def _run(
+def _replay_run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
     """Run over a bag with a parameter file; ``recording``: contents of the bag, if already read."""
-    options, given = replay_options.options_of(args), ([] if name == _OWN else [name], args.set)
-    p, filters, reference = replay_options.setting_of(bag, options, *given, args.vehicle)
+    options, given = replay_options.options_of(args), ([] if name == _OWN_PARAMETERS else [name], args.set)
+    p, filters, reference = replay_options.read_settings(bag, options, *given, args.vehicle)
     of_soil = replay_options.soil_parameters_of(bag, p, *given)
     recording = recording or read_recording(bag, filters, args.namespace)
     details = Details()
-    result = replay(bag, p, filters, reference, of_soil, together(details.add, further))
-    smoothed = _smoothed(bag, p, filters) if args.smooth else None
+    result = replay(bag, p, filters, reference, of_soil, combine_watches(details.add, further))
+    smoothed = _smoothed_estimates(bag, p, filters) if args.smooth else None
     return Run(label, recording, p, filters, result, details, smoothed)
 
 
-def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
+def _write_folder(args: argparse.Namespace, files: Sequence[str]) -> int:
     """Write a page of each bag, and an index."""
     if len(files) > 1:
         raise InputError(f"--params {files[1]}: one too many; accepted: one for a folder of bags")
     make_folder("output", args.output)
     for page in args.output.glob("*.html"):
         if page.name == INDEX or page.stem.isdecimal():
-            refuse_foreign("output", page, PAGE)
-    entries = fleet_command.work(args, _entry)
+            refuse_foreign_file("output", page, PAGE_PREFIX)
+    entries = fleet_command.process_bags(args, _bag_entry)
     write_pages(entries, args.output)
     show(f"report: {args.output / INDEX}")
     return exit_code(entries)
 
 
-def _entry(args: argparse.Namespace, path: Path) -> Entry:
+def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
     """Result of one bag of many; runs in a worker."""
 
     def replayed(watch: Watch) -> tuple[Replay, str]:
-        (name,) = args.params or [_OWN]
+        (name,) = args.params or [_OWN_PARAMETERS]
         with open_bag(path, args.namespace) as bag:
-            one = _run(args, bag, name, None, path.name, watch)
-        return one.replay, _page([one], load_limits(args.limits or ()))
+            one = _replay_run(args, bag, name, None, path.name, watch)
+        return one.replay, _render_page([one], load_limits(args.limits or ()))
 
     return entry_of(path, replayed, force=args.force)
 
 
-def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
+def _smoothed_estimates(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
     """(n,) ESTIMATE of the smoother."""
     found = GrowingRows(ESTIMATE, MOST_DRAWN)
     smooth_bag(bag, p, filters, None, lambda block: found.add(block.smoothed))
     return found.rows()
 
 
-def distinct(paths: Sequence[Path]) -> dict[Path, str]:
+def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
     """The shortest ends of the paths that distinguish them; a single path is returned whole."""
     known = list(dict.fromkeys(paths))
     for count in range(1, max(len(path.parts) for path in known)) if len(known) > 1 else ():
@@ -152,14 +159,14 @@ def distinct(paths: Sequence[Path]) -> dict[Path, str]:
     return {path: str(path) for path in known}
 
 
-def _label(bag: str, name: str, bags: bool, files: bool) -> str:
+def _run_label(bag: str, name: str, bags: bool, files: bool) -> str:
     """Label that distinguishes this run from the others."""
     if files and not bags:
         return name
-    return bag if name == _OWN and not files else f"{bag}, {name}"
+    return bag if name == _OWN_PARAMETERS and not files else f"{bag}, {name}"
 
 
-def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
+def _render_page(runs: Sequence[Run], limits: VerdictLimits) -> str:
     from trackslip_tools.report.page import render  # Bokeh takes half a second
 
     with np.errstate(over="ignore", invalid="ignore"):  # recorded numbers may be of any size

@@ -42,7 +42,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", metavar="NS", default="", help=about)
 
 
-def stated(args: argparse.Namespace) -> list[str]:
+def next_command_options(args: argparse.Namespace) -> list[str]:
     """Command-line words of the options that the next command needs too: machine, parameters."""
     named = {"--vehicle": args.vehicle, "--namespace": args.namespace}
     found = [word for option, value in named.items() if value for word in (option, value)]

@@ -11,9 +11,9 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options, shared_options
-from trackslip_tools.cli.elapsed import waited_s
+from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import require_writable, write_json
-from trackslip_tools.cli.progress import counted
+from trackslip_tools.cli.progress import progress_bar
 from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
 from trackslip_tools.smoothing.smoothing import Smoothed
 
@@ -39,11 +39,11 @@ def run(args: argparse.Namespace) -> int:
     with open_bag(args.bag, args.namespace) as bag:
         replay_options.note_damage(bag)
         given = args.params, args.set, args.vehicle
-        p, filters, reference = replay_options.setting_of(bag, options, *given)
+        p, filters, reference = replay_options.read_settings(bag, options, *given)
         written = SmoothedWriter(args.output, p) if args.output else nullcontext()
-        with written as writer, counted(bag.duration_s, "smoothing") as advance:
+        with written as writer, progress_bar(bag.duration_s, "smoothing") as advance:
             result = smooth_bag(bag, p, filters, reference, _watch(writer, advance))
-    show(result.text(waited_s()))
+    show(result.text(waiting_time_s()))
     if args.output is not None:
         show(f"smoothed: {args.output}")
     if args.json is not None:

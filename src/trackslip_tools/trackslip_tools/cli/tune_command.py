@@ -11,15 +11,15 @@ from pathlib import Path
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.check.bag import check_bag, finding
+from trackslip_tools.check.bag import check_bag, setup_summary
 from trackslip_tools.cli import replay_options, worker_options
-from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.outputs import refuse_foreign, write_json
-from trackslip_tools.cli.progress import counted, shown
+from trackslip_tools.cli.elapsed import waiting_time_s
+from trackslip_tools.cli.outputs import refuse_foreign_file, write_json
+from trackslip_tools.cli.progress import iterate_with_bar, progress_bar
 from trackslip_tools.fleet.find import find_bags
-from trackslip_tools.terminal_text import for_terminal
+from trackslip_tools.terminal_text import format_for_terminal
 from trackslip_tools.tuning.evidence import (
-    BEGINNINGS,
+    FILE_PREFIXES,
     JOURNAL,
     NUMBERS,
     PARAMETERS,
@@ -62,34 +62,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Tune, print the evidence, and write it."""
     plan = read_plan(config_file(args.plan))
-    for name, beginning in BEGINNINGS.items():
-        refuse_foreign("output", args.output / name, beginning)
+    for name, beginning in FILE_PREFIXES.items():
+        refuse_foreign_file("output", args.output / name, beginning)
     bags = find_bags(args.bags)
     needs_reference = plan.settings.objective != LIKELIHOOD
-    tasks = [_read(bag, args, needs_reference=needs_reference) for bag in shown(bags, "reading")]
+    tasks = [
+        _load_task(bag, args, needs_reference=needs_reference) for bag in iterate_with_bar(bags, "reading")
+    ]
     cross_validate = not args.no_cross_validation and len(tasks) > 1
     sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
-        mapped = stack.enter_context(worker_options.chosen(args, shared=tasks))
+        mapped = stack.enter_context(worker_options.requested_workers(args, shared=tasks))
         journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
         if len(journal):
             show(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
-        advance = stack.enter_context(counted(sets, "tuning"))
+        advance = stack.enter_context(progress_bar(sets, "tuning"))
         tuner = Tuner(plan, tasks, partial(mapped, score_of), journal, advance)
         tuning = tuner.run(cross_validate)
     write_evidence(args.output, tuning, tasks[0].p)
     write_json(args.output / NUMBERS, numbers(tuning))
-    show(for_terminal(table(tuning)))
-    show(f"\ntuned in {waited_s():.1f} s")
+    show(format_for_terminal(table(tuning)))
+    show(f"\ntuned in {waiting_time_s():.1f} s")
     show(f"parameters: {args.output / PARAMETERS}")
     return ExitCode.DONE if tuning.improves_unseen else ExitCode.FAILED
 
 
-def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
+def _load_task(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
     with open_bag(path, args.namespace) as bag:
         replay_options.note_damage(bag)
         given = args.params, args.set, args.vehicle
-        p, filters, reference = replay_options.setting_of(bag, replay_options.options_of(args), *given)
+        p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args), *given)
         setup = check_bag(bag, p, filters)
-        show(finding(setup) if setup.is_plausible else f"{path}: {finding(setup)}", file=sys.stderr)
+        show(
+            setup_summary(setup) if setup.is_plausible else f"{path}: {setup_summary(setup)}", file=sys.stderr
+        )
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

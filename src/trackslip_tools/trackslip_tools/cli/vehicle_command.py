@@ -10,7 +10,14 @@ from pathlib import Path
 from trackslip_common.errors import ExitCode, InputError, printable, show
 from trackslip_common.vehicle_files import vehicle_names
 from trackslip_tools.cli.outputs import write_file
-from trackslip_tools.machine.draft import ANTENNA, HOW, MASS, NEEDED, draft, options
+from trackslip_tools.machine.draft import (
+    ANTENNA,
+    MASS,
+    MEASURING_METHODS,
+    REQUIRED_NUMBERS,
+    draft_vehicle,
+    number_options,
+)
 
 EXAMPLE = "trackslip vehicle new --name digger --mass 20000 --tread 2.4"
 
@@ -25,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "new", help="write the file of a machine; what is not given is asked for, or guessed from its mass"
     )
     new.add_argument("--name", default="my_machine", help="of machine and files (default: my_machine)")
-    for option, name, spec in options():
+    for option, name, spec in number_options():
         about = f"{spec.description}, {spec.unit}" if spec.unit else spec.description
         new.add_argument(f"--{option}", dest=name, type=float, metavar="N", help=about)
     new.add_argument(
@@ -47,13 +54,13 @@ def run(arguments: argparse.Namespace) -> int:
     if not _NAME.fullmatch(arguments.name):
         accepted = "letters, digits, _ and -, a letter first"
         raise InputError(f"--name: '{printable(arguments.name)}' is refused; accepted: {accepted}")
-    known = {name: getattr(arguments, name) for _, name, _ in options()}
+    known = {name: getattr(arguments, name) for _, name, _ in number_options()}
     known = {name: value for name, value in known.items() if value is not None}
     if arguments.antenna is not None:
         known |= {f"{ANTENNA}.{axis}": value for axis, value in zip("xyz", arguments.antenna, strict=True)}
     if arguments.asks and sys.stdin.isatty():
-        known |= _asked(known)
-    made = draft(arguments.name, known)
+        known |= _ask_numbers(known)
+    made = draft_vehicle(arguments.name, known)
     paths = [arguments.output / name for name in made.files]
     for path in paths:
         if path.exists():
@@ -61,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     for path, text in zip(paths, made.files.values(), strict=True):
         write_file("output", path, text)
     for name in made.guessed:
-        show(f"guessed: {name} {made.values[name]:g}: {HOW[name]}")
+        show(f"guessed: {name} {made.values[name]:g}: {MEASURING_METHODS[name]}")
     for line in made.missing:
         show(f"left out: {line}")
     show(f"vehicle: {paths[0]}")
@@ -71,15 +78,17 @@ def run(arguments: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _asked(known: dict[str, float]) -> dict[str, float]:
+def _ask_numbers(known: dict[str, float]) -> dict[str, float]:
     """The user's answers for important numbers that are not known; an empty answer omits a number."""
     found: dict[str, float] = {}
-    specs = {name: spec for _, name, spec in options()}
-    for name in (MASS, *NEEDED[1:]):
+    specs = {name: spec for _, name, spec in number_options()}
+    for name in (MASS, *REQUIRED_NUMBERS[1:]):
         if name in known:
             continue
         while True:
-            answer = input(f"{specs[name].description}, {specs[name].unit} ({HOW[name]}; Enter: unknown): ")
+            answer = input(
+                f"{specs[name].description}, {specs[name].unit} ({MEASURING_METHODS[name]}; Enter: unknown): "
+            )
             try:
                 found |= {name: float(answer)} if answer.strip() else {}
                 break

@@ -21,7 +21,7 @@ def is_folder(path: Path) -> bool:
     try:
         return path.is_dir() and not (path / METADATA).exists() and not bag_files(path)
     except OSError as error:
-        _refuse(error)
+        _raise_unreadable(error)
 
 
 def find_bags(paths: Sequence[Path]) -> list[Path]:
@@ -32,7 +32,7 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     for path in paths:
-        bags = _inside(path) if is_folder(path) else [path]
+        bags = _bags_in_folder(path) if is_folder(path) else [path]
         if not bags:
             raise InputError(f"no bag in folder '{path}'; accepted: a bag, or a folder of bags")
         found |= dict.fromkeys(bags)
@@ -47,16 +47,16 @@ def short_names(paths: Sequence[Path]) -> list[str]:
     return [str(Path(*path.parts[common:])) for path in paths]
 
 
-def _inside(folder: Path) -> list[Path]:
+def _bags_in_folder(folder: Path) -> list[Path]:
     bags = []
-    for name, folders, _ in os.walk(folder, onerror=_refuse):
+    for name, folders, _ in os.walk(folder, onerror=_raise_unreadable):
         inner = [Path(name) / one for one in sorted(folders)]
         bags += [path for path in inner if not is_folder(path)]
         folders[:] = [path.name for path in inner if is_folder(path)]
     return sorted(bags)
 
 
-def _refuse(error: OSError) -> NoReturn:
+def _raise_unreadable(error: OSError) -> NoReturn:
     place = Path(error.filename or ".")
     folder = place.parent if place.name == METADATA else place
     raise InputError(

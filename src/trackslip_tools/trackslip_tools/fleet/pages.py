@@ -7,7 +7,7 @@ from pathlib import Path
 
 from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.fleet.entry import Entry
-from trackslip_tools.fleet.table import COLUMNS, named
+from trackslip_tools.fleet.table import COLUMNS, named_entries
 
 INDEX = "index.html"
 
@@ -22,7 +22,7 @@ def write_pages(entries: Sequence[Entry], folder: Path) -> None:
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
     rows, digits = [], len(str(len(entries)))
-    for number, (name, entry) in enumerate(named(entries), start=1):
+    for number, (name, entry) in enumerate(named_entries(entries), start=1):
         file = f"{number:0{digits}}.html" if entry.page else ""  # names may not suit as file names
         if entry.page:
             write_file("output", folder / file, entry.page)

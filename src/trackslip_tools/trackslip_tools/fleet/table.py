@@ -11,32 +11,32 @@ from trackslip_common.errors import ExitCode
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import short_names
 from trackslip_tools.replay.soil_output import is_certain
-from trackslip_tools.terminal_text import table, wrapped
+from trackslip_tools.terminal_text import table, wrap_line
 
-NOTHING = "–"
+NO_VALUE = "–"
 _WAITING = "waiting"  # rejections before the start
 
 
 def _number(value: float | None, digits: int) -> str:
-    return NOTHING if value is None else f"{value:.{digits}f}"
+    return NO_VALUE if value is None else f"{value:.{digits}f}"
 
 
 def _rmse(summary: Mapping[str, Any]) -> str:
     error = summary["rmse"]["filter"] if summary else None
-    return NOTHING if error is None else f"{100.0 * error:.1f}"
+    return NO_VALUE if error is None else f"{100.0 * error:.1f}"
 
 
 def _nees(summary: Mapping[str, Any]) -> str:
     """NEES over its degrees of freedom (1 if consistent), of the pose or, without headings, the position."""
     if summary.get("nees") is not None:
         return f"{summary['nees'] / 3.0:.2f}"
-    return NOTHING if summary.get("nees_position") is None else f"{summary['nees_position'] / 2.0:.2f}"
+    return NO_VALUE if summary.get("nees_position") is None else f"{summary['nees_position'] / 2.0:.2f}"
 
 
-def _refused(summary: Mapping[str, Any]) -> str:
+def _rejected_count(summary: Mapping[str, Any]) -> str:
     """Number of measurements rejected since the start."""
     if not summary:
-        return NOTHING
+        return NO_VALUE
     reasons = (found for of_source in summary["rejected"].values() for found in of_source.items())
     return str(sum(count for reason, count in reasons if reason != _WAITING))
 
@@ -46,44 +46,44 @@ def _soil(summary: Mapping[str, Any]) -> str:
     soil = summary.get("soil") or {}
     classes = soil.get("classes")
     if not classes:
-        return NOTHING
+        return NO_VALUE
     name = max(classes, key=classes.__getitem__)
     text = f"{name.replace('_', ' ')} {100.0 * classes[name]:.0f} %"
     return text if is_certain(classes[name], bool(soil.get("identifiable"))) else f"undetermined ({text})"
 
 
-_EXITS = {ExitCode.DONE: "0 done", ExitCode.FAILED: "1 failed", ExitCode.BAD_INPUT: "2 bad input"}
+_EXIT_TEXTS = {ExitCode.DONE: "0 done", ExitCode.FAILED: "1 failed", ExitCode.BAD_INPUT: "2 bad input"}
 COLUMNS: Mapping[str, Callable[[Entry], str]] = {
     "s": lambda entry: _number(entry.summary.get("duration_s"), 0),
     "m": lambda entry: _number(entry.distance, 1),
     "RMSE cm": lambda entry: _rmse(entry.summary),
     "NEES/dof": lambda entry: _nees(entry.summary),
-    "refused": lambda entry: _refused(entry.summary),
+    "refused": lambda entry: _rejected_count(entry.summary),
     "soil": lambda entry: _soil(entry.summary),
-    "exit": lambda entry: _EXITS[ExitCode(entry.exit_code)],
+    "exit": lambda entry: _EXIT_TEXTS[ExitCode(entry.exit_code)],
 }
-_TEXTS = {"soil", "exit"}
+_TEXT_COLUMNS = {"soil", "exit"}
 
 
 def text(entries: Sequence[Entry]) -> str:
     """The table, and below it the errors of bags, and the vehicles."""
     heading = ("bag", *COLUMNS)
-    rows = [(name, *(show(entry) for show in COLUMNS.values())) for name, entry in named(entries)]
-    right = [False, *(name not in _TEXTS for name in COLUMNS)]
+    rows = [(name, *(show(entry) for show in COLUMNS.values())) for name, entry in named_entries(entries)]
+    right = [False, *(name not in _TEXT_COLUMNS for name in COLUMNS)]
     lines = [table(heading, rows, right)]
-    lines += [wrapped(f"{name}: {entry.error}") for name, entry in named(entries) if entry.error]
+    lines += [wrap_line(f"{name}: {entry.error}") for name, entry in named_entries(entries) if entry.error]
     vehicles = Counter(entry.vehicle for entry in entries if entry.vehicle)
     of_each = ", ".join(f"{name} ({count})" for name, count in sorted(vehicles.items()))
-    return "\n".join([*lines, *([wrapped(f"vehicles: {of_each}")] if vehicles else [])])
+    return "\n".join([*lines, *([wrap_line(f"vehicles: {of_each}")] if vehicles else [])])
 
 
 def notes(entries: Sequence[Entry]) -> Iterator[str]:
     """Notes on the bags, one line each."""
-    for name, entry in named(entries):
+    for name, entry in named_entries(entries):
         for note in entry.notes:
             yield f"{name}: {note}"
 
 
-def named(entries: Sequence[Entry]) -> Iterator[tuple[str, Entry]]:
+def named_entries(entries: Sequence[Entry]) -> Iterator[tuple[str, Entry]]:
     """Short name and entry of each bag."""
     yield from zip(short_names([Path(entry.bag) for entry in entries]), entries, strict=True)

@@ -11,21 +11,21 @@ from trackslip_bags.playback import Playback, Played, played
 from trackslip_bags.reader import Bag, absolute
 from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE
 from trackslip_tools.live import inputs
-from trackslip_tools.live.encoding import shown_ms
+from trackslip_tools.live.encoding import local_clock_ms
 from trackslip_tools.live.fixes import timeouts_of
 from trackslip_tools.live.state import LiveState
 
-_END = "end of the bag"
-_COMMANDS = (SET_POSE, POSE_SET)  # poses that are commands, not measurements
+_END_REASON = "end of the bag"
+_COMMAND_TOPICS = (SET_POSE, POSE_SET)  # poses that are commands, not measurements
 
 
-def shown_topics(bag: Bag) -> dict[str, str]:
+def page_topics(bag: Bag) -> dict[str, str]:
     """Published topic → type, of the topics of the page that the bag has with that type, and of all poses."""
     return {
         absolute(topic): info.type_name
         for topic, info in bag.topics.items()
         if inputs.TYPES.get(relative(topic), inputs.POSE_TYPE) == info.type_name
-        and relative(topic) not in _COMMANDS
+        and relative(topic) not in _COMMAND_TOPICS
     }
 
 
@@ -38,21 +38,21 @@ class BagFeed:
 
     def __init__(self, bag: Bag, state: LiveState, rate: float, filters: InputFilters) -> None:
         self._bag, self._state = bag, state
-        self._topics = shown_topics(bag)
+        self._topics = page_topics(bag)
         timeouts = timeouts_of(bag_parameters(bag))  # valid even after a start behind their message
-        state.expect({relative(source): timeout for source, timeout in timeouts.items()})
+        state.set_timeouts({relative(source): timeout for source, timeout in timeouts.items()})
         self._playback = Playback(partial(played, bag, filters, self._topics), rate)
         self._is_over = False  # whether the last moment was shown
 
     @property
-    def finished(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether all messages were played."""
         return self._playback.finished
 
     def advance(self, wall_s: float) -> dict[str, Any]:
         """Play until now, and return the frame; after the end, the last values stay."""
         if self._is_over:
-            return self._state.hold(_END)
+            return self._state.final_frame(_END_REASON)
         newest: dict[str, Played] = {}
         for message in self._playback.due(wall_s):
             name = relative(message.topic)
@@ -62,8 +62,8 @@ class BagFeed:
                 newest[message.topic] = message
         for message in newest.values():
             self._process(message)
-        self._is_over = self.finished
-        return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
+        self._is_over = self.is_finished
+        return self._state.next_frame(self._now_s, local_clock_ms(self._playback.bag_ns))
 
     @property
     def _now_s(self) -> float:

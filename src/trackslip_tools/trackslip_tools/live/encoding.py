@@ -12,23 +12,23 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 
 
-def finite(values: Any) -> Any:
+def replace_nonfinite(values: Any) -> Any:
     """Nested lists of the same shape; null for values that are not finite."""
     if isinstance(values, np.ndarray):
         values = values.tolist()
     if isinstance(values, (list, tuple)):
-        return [finite(value) for value in values]
+        return [replace_nonfinite(value) for value in values]
     return values if math.isfinite(values) else None
 
 
-def outline(points: FloatArray) -> tuple[list[float], list[float]]:
+def outline_coordinates(points: FloatArray) -> tuple[list[float], list[float]]:
     """x and y of (n, 2) points, rounded to the millimetre; empty if one is not finite."""
     rounded = np.round(points, 3)  # overflows to infinity for the largest numbers
     x, y = rounded.T.tolist() if len(rounded) and np.isfinite(rounded).all() else ([], [])
     return x, y
 
 
-def shown_ms(time_ns: int) -> float:
+def local_clock_ms(time_ns: int) -> float:
     """Milliseconds that a UTC clock must show to read as local time here, in a browser of any time zone."""
     seconds = time_ns * 1e-9
     offset = 0

@@ -13,36 +13,38 @@ from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.report.panel import SIGMAS
 
-_MOTION = ("no motion known", "standing", "straight", "turning")  # by motion_state
-_NONE = "–"
-NAMES = ("position", "heading", "motion", "speed", "roll", "pitch", "swing", "soil_reason")
+_MOTION_TEXTS = ("no motion known", "standing", "straight", "turning")  # by motion_state
+_UNKNOWN = "–"
+FACT_NAMES = ("position", "heading", "motion", "speed", "roll", "pitch", "swing", "soil_reason")
 
 
 def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
-    """Name of ``NAMES`` → text; a dash if unknown."""
-    facts = dict.fromkeys(NAMES, _NONE)
+    """Name of ``FACT_NAMES`` → text; a dash if unknown."""
+    facts = dict.fromkeys(FACT_NAMES, _UNKNOWN)
     facts["soil_reason"] = printable(now.reason)
     odometry, slip = now.get(ODOMETRY, now_s), now.get(TRACK_SLIP, now_s)
     if odometry is not None:
         x, y, heading = inputs.pose_of(odometry)
-        apart = SIGMAS * math.sqrt(max(float(np.max(_eigenvalues(odometry.covariance[:2, :2]))), 0.0))
-        facts["position"] = f"{x:.2f}, {y:.2f} m ± {apart:.{2 if apart >= 0.1 else 3}f}"
+        radius = SIGMAS * math.sqrt(max(float(np.max(_eigenvalues(odometry.covariance[:2, :2]))), 0.0))
+        facts["position"] = f"{x:.2f}, {y:.2f} m ± {radius:.{2 if radius >= 0.1 else 3}f}"
         facts["heading"] = heading_text(heading, float(odometry.covariance[2, 2]), SIGMAS)
         facts["speed"] = f"{odometry.v_x:.2f} m/s"
     if slip is not None:
-        facts["motion"] = _MOTION[slip.motion_state] if slip.motion_state < len(_MOTION) else _MOTION[0]
+        facts["motion"] = (
+            _MOTION_TEXTS[slip.motion_state] if slip.motion_state < len(_MOTION_TEXTS) else _MOTION_TEXTS[0]
+        )
     attitude = now.get(ATTITUDE, now_s)
     if attitude is not None and attitude.covariance[0] >= 0.0:
         sigmas = SIGMAS * np.sqrt(attitude.covariance)
         for name, angle, sigma in zip(("roll", "pitch"), tilt_of(attitude), sigmas, strict=True):
-            facts[name] = _degrees(angle, float(sigma))
+            facts[name] = _angle_text(angle, float(sigma))
     swing = now.get(inputs.SWING, now_s)
     if swing is not None and math.isfinite(swing.angle):
         facts["swing"] = f"{math.degrees(math.remainder(swing.angle, 2.0 * math.pi)):.1f}°"
     return facts
 
 
-def _degrees(angle: float, interval: float) -> str:
+def _angle_text(angle: float, interval: float) -> str:
     return f"{math.degrees(angle):.1f}° ± {math.degrees(interval):.1f}"
 
 

@@ -16,29 +16,29 @@ from trackslip_tools.live import inputs
 from trackslip_tools.report.events import Events
 from trackslip_tools.report.lights import Level
 
-KEPT = 400  # shown fixes
+MAX_FIXES = 400  # shown fixes
 _MOST_SOURCES = 12  # largest number of sources
 _NODE = "slip_estimator"
 
-Place = tuple[float, float]  # x, y, m
+Position = tuple[float, float]  # x, y, m
 
 
 class Fixes:
     """Recent fixes and lost sources; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self.kept: deque[Place] = deque(maxlen=KEPT)
+        self.kept: deque[Position] = deque(maxlen=MAX_FIXES)
         self.timeouts: dict[str, float] = {}  # source of the slip estimator → timeout, s
-        self._news: deque[Place] = deque(maxlen=KEPT)
-        self._came_s: dict[str, float] = {}
+        self._new_fixes: deque[Position] = deque(maxlen=MAX_FIXES)
+        self._last_fix_s: dict[str, float] = {}
         self._silences: dict[str, SilenceMonitor] = defaultdict(SilenceMonitor)
         self._lost: set[str] = set()
 
-    def expect(self, timeouts: Mapping[str, float]) -> None:
+    def set_timeouts(self, timeouts: Mapping[str, float]) -> None:
         """Set the timeouts, s, by source, from which ``silence`` derives its limits; forget other sources."""
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
         known = {*inputs.POSES, *self.timeouts}
-        self._came_s = {source: at_s for source, at_s in self._came_s.items() if source in known}
+        self._last_fix_s = {source: at_s for source, at_s in self._last_fix_s.items() if source in known}
         self._silences = defaultdict(
             SilenceMonitor, {k: one for k, one in self._silences.items() if k in known}
         )
@@ -46,22 +46,22 @@ class Fixes:
 
     def add(self, source: str, x: float, y: float, now_s: float) -> None:
         """Add a fix, m."""
-        self._came_s[source] = now_s
+        self._last_fix_s[source] = now_s
         self._silences[source].add(now_s)
         if math.isfinite(x) and math.isfinite(y):
-            self._news.append((round(x, 3), round(y, 3)))
+            self._new_fixes.append((round(x, 3), round(y, 3)))
 
-    def news(self) -> list[Place]:
-        """The fixes since the last call."""
-        news, self._news = list(self._news), deque(maxlen=KEPT)
+    def pop_new_fixes(self) -> list[Position]:
+        """Return the fixes since the last call, and keep them as shown."""
+        news, self._new_fixes = list(self._new_fixes), deque(maxlen=MAX_FIXES)
         self.kept += news
         return news
 
-    def see(self, events: Events, now_s: float, time_ms: float) -> None:
+    def add_silence_events(self, events: Events, now_s: float, time_ms: float) -> None:
         """Add an event for each source that is newly lost, or back."""
         for source, timeout in self.timeouts.items():
             limit = self._silences[source].limit(timeout)
-            is_lost = now_s - self._came_s.get(source, now_s) > limit
+            is_lost = now_s - self._last_fix_s.get(source, now_s) > limit
             if is_lost and source not in self._lost:
                 events.add(Level.WARN, f"fix lost: {source}", now_s, time_ms)
             elif not is_lost and source in self._lost:

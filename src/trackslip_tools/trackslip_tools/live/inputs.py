@@ -55,8 +55,8 @@ TYPES = {
 } | dict.fromkeys(POSES, POSE_TYPE)
 """Message type of each topic that is always looked at."""
 
-LATCHED = (VEHICLE, PARAMETERS)
-EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED)  # of other topics only the newest message is needed
+LATCHED_TOPICS = (VEHICLE, PARAMETERS)
+EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED_TOPICS)  # of other topics only the newest message is needed
 
 
 def pose_of(record: PoseFields | OdometryFields) -> FloatArray:

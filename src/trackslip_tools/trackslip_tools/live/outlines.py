@@ -11,38 +11,44 @@ from trackslip_common.topics import ODOMETRY
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
-from trackslip_tools.report.plan_shapes import box_outline, ellipses, machine_size, placed, rectangle
+from trackslip_tools.report.plan_shapes import (
+    box_outline,
+    ellipses,
+    machine_size,
+    rectangle,
+    transform_points,
+)
 
-NAMES = ("ellipse", "machine", "nose", "upper", "box")
+OUTLINE_NAMES = ("ellipse", "machine", "nose", "upper", "box")
 
 
 def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict[str, FloatArray]:
-    """Name of ``NAMES`` → (n, 2) outline; no points if unknown."""
-    found = dict.fromkeys(NAMES, np.empty((0, 2)))
+    """Name of ``OUTLINE_NAMES`` → (n, 2) outline; no points if unknown."""
+    found = dict.fromkeys(OUTLINE_NAMES, np.empty((0, 2)))
     odometry = now.get(ODOMETRY, now_s)
     if odometry is not None:
         pose = inputs.pose_of(odometry)
-        found |= _machine(pose, vehicle)
+        found |= _machine_outlines(pose, vehicle)
         with suppress(np.linalg.LinAlgError):  # invalid covariance
             found["ellipse"] = ellipses(pose[np.newaxis, :2], odometry.covariance[np.newaxis, :2, :2])[0]
         swing = now.get(inputs.SWING, now_s)
         if swing is not None:
-            found["upper"] = _upper(pose, swing.angle, vehicle)
+            found["upper"] = _upper_structure_line(pose, swing.angle, vehicle)
     fix, sensors = now.get(inputs.BOX_POSE, now_s), vehicle.sensors
     if fix is not None and sensors is not None and sensors.box is not None:
         found["box"] = box_outline(sensors.box, inputs.pose_of(fix))
     return found
 
 
-def _machine(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArray]:
+def _machine_outlines(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArray]:
     length, width = machine_size(vehicle)
     nose = np.array(((0.0, 0.0), (0.9 * length, 0.0)))
-    return {"machine": rectangle(pose, (length, width), (0.0, 0.0)), "nose": placed(pose, nose)}
+    return {"machine": rectangle(pose, (length, width), (0.0, 0.0)), "nose": transform_points(pose, nose)}
 
 
-def _upper(pose: FloatArray, angle: float, vehicle: VehicleParameters) -> FloatArray:
+def _upper_structure_line(pose: FloatArray, angle: float, vehicle: VehicleParameters) -> FloatArray:
     """(2, 2) line from the swing axis in the direction of the upper structure."""
     upper = vehicle.upper_structure
     axis = np.array((upper.swing_axis_x, upper.swing_axis_y)) if upper is not None else np.zeros(2)
     reach = vehicle.kinematics.contact_length * np.array((np.cos(angle), np.sin(angle)))
-    return placed(pose, np.array((axis, axis + reach)))
+    return transform_points(pose, np.array((axis, axis + reach)))

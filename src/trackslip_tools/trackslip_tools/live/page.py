@@ -12,18 +12,18 @@ from bokeh.plotting import figure
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader
 
-from trackslip_tools.live.strips import LINES, SHOWN, Line, Strips
+from trackslip_tools.live.strips import LINES, PANELS, Line, Strips
 from trackslip_tools.report.panel import BLUE, DARK, GREEN, ORANGE, PURPLE, Panel
-from trackslip_tools.report.plots import dress, time_plot
-from trackslip_tools.report.quantities import Quantity, Shown
+from trackslip_tools.report.plots import style_plot, time_plot
+from trackslip_tools.report.quantities import FieldCurve, Quantity
 
 _STRIP_HEIGHT, _STRIP_BORDER = 190, 78  # pixels
 _CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours", "days"), "%H:%M:%S")
-_SLIPS, _RESERVES = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
+_SLIP_RANGE, _RESERVE_RANGE = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
 _HEIGHT = 480
 
 
-class File(NamedTuple):
+class ServedFile(NamedTuple):
     """A served file."""
 
     kind: str
@@ -42,46 +42,46 @@ class Gauge(NamedTuple):
     high: float | None
 
 
-def files(title: str) -> dict[str, File]:
+def page_files(title: str) -> dict[str, ServedFile]:
     """Name → file; the page itself has the name ``''``."""
-    document, plots = _document()
+    document, plots = _make_document()
     described = {
         "document": document.to_json(deferred=False),
         "plots": plots,
         "lines": [{"panel": line.panel} for line in LINES],
-        "panels": len(SHOWN),
+        "panels": len(PANELS),
     }
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
-    gauges = [gauge for k, line in enumerate(LINES) if (gauge := _gauge(k, line)) is not None]
+    gauges = [gauge for k, line in enumerate(LINES) if (gauge := _make_gauge(k, line)) is not None]
     groups = {name: [g for g in gauges if g.group == name] for name in ("Slip", "Thrust", "Reserve", "Soil")}
     page = environment.get_template("live.html").render(
-        title=title, groups=groups, strips=[f"strip-{k}" for k in range(len(SHOWN))]
+        title=title, groups=groups, strips=[f"strip-{k}" for k in range(len(PANELS))]
     )
-    theme = f"const DARK = {json.dumps(DARK)}\n{_text('report', 'page.js')}"
-    styles = _text("report", "page.css") + _text("live", "live.css")
+    theme = f"const DARK = {json.dumps(DARK)}\n{_template_text('report', 'page.js')}"
+    styles = _template_text("report", "page.css") + _template_text("live", "live.css")
     return {
-        "": File("text/html; charset=utf-8", page.encode()),
-        "live.css": File("text/css; charset=utf-8", styles.encode()),
-        "live.js": File("text/javascript; charset=utf-8", _text("live", "live.js").encode()),
-        "theme.js": File("text/javascript; charset=utf-8", theme.encode()),
-        "page.json": File("application/json", json.dumps(described).encode()),
-        "bokeh.js": File("text/javascript; charset=utf-8", _library().encode()),
+        "": ServedFile("text/html; charset=utf-8", page.encode()),
+        "live.css": ServedFile("text/css; charset=utf-8", styles.encode()),
+        "live.js": ServedFile("text/javascript; charset=utf-8", _template_text("live", "live.js").encode()),
+        "theme.js": ServedFile("text/javascript; charset=utf-8", theme.encode()),
+        "page.json": ServedFile("application/json", json.dumps(described).encode()),
+        "bokeh.js": ServedFile("text/javascript; charset=utf-8", _bokeh_script().encode()),
     }
 
 
-def _library() -> str:
+def _bokeh_script() -> str:
     """Bokeh's script, without widgets and tables."""
     return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
 
 
-def _document() -> tuple[Document, dict[str, str]]:
+def _make_document() -> tuple[Document, dict[str, str]]:
     """The plots without data, and name of the page's element → id of its plot."""
     document = Document()
     plots = {"path": path_figure()}
     panels = Strips().panels()
     first = 0
     for k, panel in enumerate(panels):
-        plots[f"strip-{k}"] = _strip(panel, k, first)
+        plots[f"strip-{k}"] = _strip_plot(panel, k, first)
         first += len(panel.curves)
     for name, plot in plots.items():
         plot.name = name
@@ -89,10 +89,10 @@ def _document() -> tuple[Document, dict[str, str]]:
     return document, {name: plot.id for name, plot in plots.items()}
 
 
-def _strip(panel: Panel, number: int, first: int) -> figure:
+def _strip_plot(panel: Panel, number: int, first: int) -> figure:
     """A report's panel over clock time, without tools, so that a finger scrolls the page."""
     plot = time_plot(panel, Range1d(0.0, 1.0, name=f"time-{number}"), 1)
-    still(plot)
+    remove_tools(plot)
     plot.min_border_left = _STRIP_BORDER
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
     plot.title.text = panel.title.partition(":")[0]
@@ -106,41 +106,41 @@ def _strip(panel: Panel, number: int, first: int) -> figure:
     return plot
 
 
-def still(plot: figure) -> None:
+def remove_tools(plot: figure) -> None:
     """Remove the tools of a plot."""
     plot.toolbar_location, plot.toolbar.tools = None, []
     plot.js_event_callbacks = {}
 
 
-def _gauge(number: int, line: Line) -> Gauge | None:
+def _make_gauge(number: int, line: Line) -> Gauge | None:
     """Gauge of a curve; None for a curve without one."""
-    of, panel = line.of, SHOWN[line.panel]
+    of, panel = line.quantity, PANELS[line.panel]
     unit = panel.axis.rpartition(", ")[2]
     if isinstance(of, Quantity):
         side = of.true_column.partition("_")[0]
-        low, high = (of.scale * end for end in _SLIPS)
+        low, high = (of.scale * end for end in _SLIP_RANGE)
         is_slip = of.true_column.endswith("_slip")
         return Gauge("Slip", side, number, line.panel, unit, low, high) if is_slip else None
-    return _gauge_of(of, line, number, unit)
+    return _ground_gauge(of, line, number, unit)
 
 
-def _gauge_of(of: Shown, line: Line, number: int, unit: str) -> Gauge | None:
+def _ground_gauge(of: FieldCurve, line: Line, number: int, unit: str) -> Gauge | None:
     side = of.field.partition("_")[0]
     if of.field.endswith("_thrust_reserve"):
-        low, high = (line.scale * end for end in _RESERVES)
+        low, high = (line.scale * end for end in _RESERVE_RANGE)
         return Gauge("Reserve", side, number, line.panel, unit, low, high)
     if of.field.endswith("_thrust"):
         return Gauge("Thrust", side, number, line.panel, unit, None, None)
     return Gauge("Soil", of.label, number, line.panel, unit, None, None) if of.interval else None
 
 
-def _text(room: str, name: str) -> str:
+def _template_text(room: str, name: str) -> str:
     folder = resources.files(f"trackslip_tools.{room}").joinpath("templates")
     return folder.joinpath(name).read_text(encoding="utf-8")
 
 
 def path_figure() -> figure:
-    """The path plot; its data sources are ``trail``, ``fixes`` and ``live.outlines.NAMES``, (x, y) each."""
+    """The path plot; its data sources are ``trail``, ``fixes`` and ``OUTLINE_NAMES``, (x, y) each."""
     plot = figure(
         height=_HEIGHT,
         sizing_mode="stretch_width",
@@ -165,7 +165,7 @@ def path_figure() -> figure:
     plot.line("x", "y", source=_source("nose"), color=BLUE, line_width=3)
     upper = {"color": ORANGE, "line_width": 3}
     plot.line("x", "y", source=_source("upper"), **upper)
-    dress(plot)
+    style_plot(plot)
     return plot
 
 

@@ -12,8 +12,8 @@ from trackslip_common.parameters import Parameters, parameter
 NODE = "live"
 DEFAULT_FILES = ("live.yaml",)
 _BACKLOG = 4096  # connections that wait to be accepted; the kernel lets further clients try again after 1 s
-_LOCAL = ("127.0.0.1", "localhost", "[::1]")
-_ACCEPTED = "accepted: what a browser has between // and the next /, such as 192.168.4.1:5006"
+_LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
+_ACCEPTED_ORIGINS = "accepted: what a browser has between // and the next /, such as 192.168.4.1:5006"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,25 +24,25 @@ class LiveParameters(Parameters):
     port: int = parameter("port to listen on; 0: any free port", ge=0, le=65535)
     origins: tuple[str, ...] = parameter("HOST:PORT that browsers may request, besides the address itself")
 
-    def allowed(self, port: int) -> frozenset[str]:
+    def allowed_hosts(self, port: int) -> frozenset[str]:
         """HOST:PORT in the requests that are answered at this port.
 
         Raises:
             InputError: the page listens on all addresses, and no origin is given.
         """
-        named = [_with_port(origin, port) for origin in self.origins if origin]
-        if _is_any(self.host):
+        named = [_add_port(origin, port) for origin in self.origins if origin]
+        if _is_any_address(self.host):
             if not named:
                 raise InputError(
                     f"host {self.host} is every address of this computer: name the one that browsers "
-                    f"will ask for as origin; {_ACCEPTED}"
+                    f"will ask for as origin; {_ACCEPTED_ORIGINS}"
                 )
             return frozenset(named)
-        own = _LOCAL if self.host in _LOCAL else (_bracketed(self.host),)
+        own = _LOCAL_HOSTS if self.host in _LOCAL_HOSTS else (_bracket_ipv6(self.host),)
         return frozenset([*named, *(f"{name}:{port}" for name in own)])
 
 
-def bound(host: str, port: int) -> list[socket.socket]:
+def open_sockets(host: str, port: int) -> list[socket.socket]:
     """Open the listening sockets.
 
     Raises:
@@ -59,21 +59,21 @@ def bound(host: str, port: int) -> list[socket.socket]:
         ) from error
 
 
-def _is_any(host: str) -> bool:
+def _is_any_address(host: str) -> bool:
     try:
         return ipaddress.ip_address(host).is_unspecified
     except ValueError:
         return host == ""
 
 
-def _bracketed(host: str) -> str:
+def _bracket_ipv6(host: str) -> str:
     return f"[{host}]" if ":" in host and not host.startswith("[") else host
 
 
-def _with_port(origin: str, port: int) -> str:
+def _add_port(origin: str, port: int) -> str:
     """HOST:PORT of an origin, in lower case as browsers send it; ``port`` if it has none."""
     name = origin.strip().lower()
     if not name or any(c in name for c in "/*@ ?#"):
-        raise InputError(f"origin '{origin}' is refused; {_ACCEPTED}")
+        raise InputError(f"origin '{origin}' is refused; {_ACCEPTED_ORIGINS}")
     has_port = ":" in name.rpartition("]")[2]
     return name if has_port else f"{name}:{port}"

@@ -25,18 +25,19 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from trackslip_common.errors import show
 from trackslip_tools.live.connections import BoundedServer
-from trackslip_tools.live.page import File
-from trackslip_tools.live.parameters import LiveParameters, bound
+from trackslip_tools.live.page import ServedFile
+from trackslip_tools.live.parameters import LiveParameters, open_sockets
 
-_SOURCES = ("tornado", "asyncio")  # loggers
-_PAUSE_S = 1.0
+_LOGGERS = ("tornado", "asyncio")  # loggers
+_LOG_PERIOD_S = 1.0
 MOST_PAGES = 24  # served at the same time
 _PING = 10  # s, interval of pings; a page without an answer is disconnected
 _MOST_WAITING = 40  # frames: largest lag of a page, five seconds
 _LARGEST_REQUEST = 4096  # bytes of a header or body
 _CLOSED_BY_RULE = 1008  # close code of websockets: policy violation
-_READY = 10.0  # s
-_RULES = (  # Content-Security-Policy: no external content, no inline scripts, no forms, no frames around it
+_STOP_TIMEOUT_S = 10.0  # s
+# Content-Security-Policy: no external content, no inline scripts, no forms, no frames around it.
+_CONTENT_POLICY = (
     "default-src 'none'; script-src 'self'; connect-src 'self' ws://{host}; img-src data:; "
     "style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
@@ -56,12 +57,12 @@ class ServerLog(logging.Handler):
 
     def attach(self) -> None:
         """Start to receive log records."""
-        for name in _SOURCES:
+        for name in _LOGGERS:
             logging.getLogger(name).addHandler(self)
 
     def detach(self) -> None:
         """Stop to receive log records."""
-        for name in _SOURCES:
+        for name in _LOGGERS:
             logging.getLogger(name).removeHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -69,7 +70,7 @@ class ServerLog(logging.Handler):
         self.count += 1
         if self._clock() < self._next_s:
             return
-        self._next_s = self._clock() + _PAUSE_S
+        self._next_s = self._clock() + _LOG_PERIOD_S
         lines = record.getMessage().splitlines()[:1]
         if record.exc_info is not None and record.exc_info[0] is not None:
             lines += format_exception_only(record.exc_info[0], record.exc_info[1])[-1:]
@@ -87,24 +88,24 @@ class PageServer:
 
     def __init__(
         self,
-        files: Mapping[str, File],
+        files: Mapping[str, ServedFile],
         whole: Callable[[], dict[str, Any]],
         parameters: LiveParameters,
         log: Callable[[str], None] = lambda line: show(line, file=sys.stderr),
     ) -> None:
-        parameters.allowed(parameters.port)  # check before sockets are opened
-        self._sockets = bound(parameters.host, parameters.port)
+        parameters.allowed_hosts(parameters.port)  # check before sockets are opened
+        self._sockets = open_sockets(parameters.host, parameters.port)
         self.port = int(self._sockets[0].getsockname()[1])
-        self._allowed = parameters.allowed(self.port)
-        self._whole, self._files = whole, files
+        self._allowed = parameters.allowed_hosts(self.port)
+        self._full_state, self._files = whole, files
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="page", daemon=True)
-        self._pages: set[_Stream] = set()
+        self._pages: set[_StreamHandler] = set()
         self._log = ServerLog(log)
         self._refused = 0  # requests
         shared = {"server": self}
         application = Application(
-            [(r"/stream", _Stream, shared), (r"/(.*)", _Files, shared)],
+            [(r"/stream", _StreamHandler, shared), (r"/(.*)", _FileHandler, shared)],
             websocket_ping_interval=_PING,
             websocket_max_message_size=_LARGEST_REQUEST,
             log_function=lambda _: None,
@@ -144,16 +145,16 @@ class PageServer:
     def stop(self) -> None:
         """Close the port and all pages; call once."""
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(_READY)
+        self._thread.join(_STOP_TIMEOUT_S)
 
     def push(self, frame: dict[str, Any]) -> None:
         """Send a frame to all pages; returns at once."""
         if self._pages:
-            self._loop.call_soon_threadsafe(self._send, _encoded(frame))
+            self._loop.call_soon_threadsafe(self._send, _encode_frame(frame))
 
     def _send(self, text: str) -> None:
         for page in list(self._pages):
-            page.offer(text)
+            page.queue_frame(text)
 
     def _serve(self) -> None:
         asyncio.set_event_loop(self._loop)
@@ -170,7 +171,7 @@ class PageServer:
             self._log.detach()
 
 
-def _encoded(frame: dict[str, Any]) -> str:
+def _encode_frame(frame: dict[str, Any]) -> str:
     return json.dumps(frame, separators=(",", ":"), allow_nan=False)
 
 
@@ -197,7 +198,7 @@ class _Handler(RequestHandler):
 
 
 @stream_request_body
-class _Files(_Handler):
+class _FileHandler(_Handler):
     """The page and its files."""
 
     def data_received(self, chunk: bytes) -> None:
@@ -207,7 +208,7 @@ class _Files(_Handler):
         file = self.server._files.get(name)
         if file is None:
             raise HTTPError(404)
-        self.set_header("Content-Security-Policy", _RULES.format(host=self.request.host.lower()))
+        self.set_header("Content-Security-Policy", _CONTENT_POLICY.format(host=self.request.host.lower()))
         self.set_header("Content-Type", file.kind)
         self.set_header("Cache-Control", "no-cache")  # browsers ask again, and get 304 if unchanged
         self.write(file.content)
@@ -215,14 +216,14 @@ class _Files(_Handler):
     head = get
 
 
-class _Stream(_Handler, WebSocketHandler):
+class _StreamHandler(_Handler, WebSocketHandler):
     """Stream of one page."""
 
     def initialize(self, server: PageServer) -> None:
         super().initialize(server)
         self._sending: asyncio.Future[None] | None = None
         self._waiting: deque[str] = deque()
-        self._missed = True  # the first frame is the whole state
+        self._needs_state = True  # the first frame is the whole state
 
     def prepare(self) -> None:
         super().prepare()
@@ -236,7 +237,7 @@ class _Stream(_Handler, WebSocketHandler):
     def open(self, *_: str) -> None:
         self.server._pages.add(self)
         self.set_nodelay(True)
-        self.offer("")  # sends the whole state
+        self.queue_frame("")  # sends the whole state
 
     def on_message(self, message: str | bytes) -> None:
         """Close the stream: pages may not send messages."""
@@ -245,12 +246,12 @@ class _Stream(_Handler, WebSocketHandler):
     def on_close(self) -> None:
         self.server._pages.discard(self)
 
-    def offer(self, text: str) -> None:
+    def queue_frame(self, text: str) -> None:
         """Queue a frame; a page with a full queue loses its frames, and then gets the whole state again."""
         if len(self._waiting) >= _MOST_WAITING:
             self._waiting.clear()
-            self._missed = True
-        if not self._missed:
+            self._needs_state = True
+        if not self._needs_state:
             self._waiting.append(text)
         if self._sending is None or self._sending.done():
             self._sending = asyncio.ensure_future(self._send())
@@ -258,15 +259,15 @@ class _Stream(_Handler, WebSocketHandler):
     async def _send(self) -> None:
         """Send the queue as fast as the page receives it."""
         try:
-            while text := self._next():
+            while text := self._next_text():
                 await self.write_message(text)
         except (WebSocketClosedError, StreamClosedError):
             self.server._pages.discard(self)
 
-    def _next(self) -> str:
+    def _next_text(self) -> str:
         """The next text to send; empty if there is none."""
-        if self._missed:
-            whole = self.server._whole()
-            self._missed = not whole
-            return _encoded(whole) if whole else ""
+        if self._needs_state:
+            whole = self.server._full_state()
+            self._needs_state = not whole
+            return _encode_frame(whole) if whole else ""
         return self._waiting.popleft() if self._waiting else ""

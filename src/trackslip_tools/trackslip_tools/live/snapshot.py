@@ -14,8 +14,8 @@ from trackslip_tools.live.strips import MOTION
 from trackslip_tools.report.quantities import Columns
 
 STANDING = 1  # motion_state of TrackSlip
-_FRESH_S = 1.0
-_FRESH_OF = {SOIL: 5.0, FORCES: 1.5, inputs.BOX_POSE: 1.5}  # s, of slower topics
+_MAX_AGE_S = 1.0
+_MAX_AGE_OF_TOPIC_S = {SOIL: 5.0, FORCES: 1.5, inputs.BOX_POSE: 1.5}  # s, of slower topics
 
 
 class Snapshot:
@@ -43,7 +43,9 @@ class Snapshot:
     def get(self, topic: str, now_s: float) -> Any | None:
         """The record of a topic; None if missing or too old."""
         record, at_s = self._records.get(topic, (None, -np.inf))
-        return record if self.keeps_last or now_s - at_s <= _FRESH_OF.get(topic, _FRESH_S) else None
+        return (
+            record if self.keeps_last or now_s - at_s <= _MAX_AGE_OF_TOPIC_S.get(topic, _MAX_AGE_S) else None
+        )
 
     def columns(self, now_s: float) -> dict[str, Columns]:
         """Topic (or ``MOTION``) → columns for the panels, of fresh records."""
@@ -52,10 +54,10 @@ class Snapshot:
             for topic in (FORCES, SOIL)
             if (record := self.get(topic, now_s)) is not None
         }
-        motion = self._motion(now_s)
+        motion = self._motion_columns(now_s)
         return found | ({MOTION: motion} if motion is not None else {})
 
-    def _motion(self, now_s: float) -> Columns | None:
+    def _motion_columns(self, now_s: float) -> Columns | None:
         """Columns of twist and slips as in the report; slips are nan at standstill."""
         odometry, slip = self.get(ODOMETRY, now_s), self.get(TRACK_SLIP, now_s)
         if odometry is None:

@@ -10,7 +10,14 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_tools.report.panel import BLUE, Curve, Form, Panel
-from trackslip_tools.report.quantities import QUANTITIES, SHAPES, Columns, Quantity, Shape, Shown
+from trackslip_tools.report.quantities import (
+    FIELD_PANELS,
+    QUANTITIES,
+    Columns,
+    FieldCurve,
+    FieldPanel,
+    Quantity,
+)
 
 MOTION = "motion"  # name of the columns from odometry and slips; other columns have the name of their topic
 ROWS = 1920  # stored moments: four minutes
@@ -22,24 +29,24 @@ class Line(NamedTuple):
     """One curve of one panel."""
 
     panel: int
-    of: Quantity | Shown
+    quantity: Quantity | FieldCurve
     scale: float
     topic: str  # topic of its columns
 
 
-def lines_of() -> list[Line]:
+def make_lines() -> list[Line]:
     """Lines of all panels, in their order."""
     lines = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)]
     first = len(QUANTITIES)
     return lines + [
         Line(first + k, shown, shape.scale, shape.topic)
-        for k, shape in enumerate(SHAPES)
+        for k, shape in enumerate(FIELD_PANELS)
         for shown in shape.fields
     ]
 
 
-LINES = lines_of()
-SHOWN: tuple[Quantity | Shape, ...] = (*QUANTITIES, *SHAPES)  # panels in their order
+LINES = make_lines()
+PANELS: tuple[Quantity | FieldPanel, ...] = (*QUANTITIES, *FIELD_PANELS)  # panels in their order
 
 
 def row_of(columns: Mapping[str, Columns]) -> FloatArray:
@@ -47,7 +54,7 @@ def row_of(columns: Mapping[str, Columns]) -> FloatArray:
     row = np.full((len(LINES), _PARTS), np.nan)
     for k, line in enumerate(LINES):
         if line.topic in columns:
-            row[k] = _point(line, columns[line.topic])
+            row[k] = _line_point(line, columns[line.topic])
     return row
 
 
@@ -67,7 +74,7 @@ class Strips:
         row: FloatArray = self._values[at]
         return row
 
-    def whole(self) -> tuple[FloatArray, FloatArray]:
+    def stored_rows(self) -> tuple[FloatArray, FloatArray]:
         """Times (n,) in ms and values (n, lines, 3), oldest first."""
         filled = min(self._count, len(self._times))
         order = (np.arange(filled) + self._count - filled) % len(self._times)
@@ -75,28 +82,32 @@ class Strips:
 
     def panels(self) -> list[Panel]:
         """The panels with the stored curves, as in a report."""
-        times, values = self.whole()
-        curves: list[list[Curve]] = [[] for _ in SHOWN]
+        times, values = self.stored_rows()
+        curves: list[list[Curve]] = [[] for _ in PANELS]
         for k, line in enumerate(LINES):
             own = values[:, k]
-            label, colour, form = _look(line.of)
-            has_band = isinstance(line.of, Quantity) or np.isfinite(own[:, 1]).any() or not len(own)
+            label, colour, form = _curve_style(line.quantity)
+            has_band = isinstance(line.quantity, Quantity) or np.isfinite(own[:, 1]).any() or not len(own)
             band = (own[:, 1], own[:, 2]) if has_band else None
             curves[line.panel].append(Curve(label, colour, times, own[:, 0], form, band))
         return [
-            Panel(of.title, of.axis, found, limits=(0.0,)) for of, found in zip(SHOWN, curves, strict=True)
+            Panel(of.title, of.axis, found, limits=(0.0,)) for of, found in zip(PANELS, curves, strict=True)
         ]
 
 
-def _look(of: Quantity | Shown) -> tuple[str, str, Form]:
+def _curve_style(of: Quantity | FieldCurve) -> tuple[str, str, Form]:
     return ("estimate", BLUE, Form.LINE) if isinstance(of, Quantity) else (of.label, of.colour, Form.LINE)
 
 
-def _point(line: Line, columns: Columns) -> tuple[float, float, float]:
-    values, band = line.of.of(columns) if isinstance(line.of, Quantity) else line.of.of(columns, line.scale)
+def _line_point(line: Line, columns: Columns) -> tuple[float, float, float]:
+    values, band = (
+        line.quantity.values_with_band(columns)
+        if isinstance(line.quantity, Quantity)
+        else line.quantity.values_with_band(columns, line.scale)
+    )
     lower, upper = band if band is not None else (math.nan, math.nan)
-    return _rounded(values), _rounded(lower), _rounded(upper)
+    return _round_digits(values), _round_digits(lower), _round_digits(upper)
 
 
-def _rounded(value: FloatArray | float) -> float:
+def _round_digits(value: FloatArray | float) -> float:
     return float(f"{float(value):.{_DIGITS}g}")

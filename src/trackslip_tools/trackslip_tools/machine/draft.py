@@ -21,7 +21,7 @@ MASS = "mass.mass"
 RADIUS = "kinematics.rolling_radius"
 ANTENNA = "sensors.antenna"
 
-HOW = {  # how to measure a guessed number
+MEASURING_METHODS = {  # how to measure a guessed number
     RADIUS: "20 m of hard ground over the sprocket's angle, rad",
     "kinematics.tread": "tape: outer edge of one track to the inner edge of the other",
     "kinematics.contact_length": "tape: from below the sprocket's centre to below the idler's",
@@ -46,10 +46,10 @@ _LENGTHS = {
     "mass.track_width": _Length(0.0215, 0.15),
     f"{ANTENNA}.z": _Length(0.12, 0.3),  # cab roof
 }
-_CENTRE = dict.fromkeys((f"{ANTENNA}.x", f"{ANTENNA}.y"), 0.0)  # in the middle between the tracks
+_CENTRE_POSITION = dict.fromkeys((f"{ANTENNA}.x", f"{ANTENNA}.y"), 0.0)  # in the middle between the tracks
 # Size of a block with the machine's yaw inertia, over contact length and tread.
 _BLOCK = (1.3, 1.2)
-NEEDED = (MASS, RADIUS, "kinematics.tread", "kinematics.contact_length")
+REQUIRED_NUMBERS = (MASS, RADIUS, "kinematics.tread", "kinematics.contact_length")
 _HYDRAULICS = "hydraulics."
 # An error of the rolling radius acts like a slip common to both tracks.
 _PRIORS = """\
@@ -103,10 +103,10 @@ class Draft:
         if name not in self.guessed:
             return about
         share = self.guessed[name]
-        return f"{about}; guessed{f', ± {100 * share:.0f} %' if share else ''}: {HOW[name]}"
+        return f"{about}; guessed{f', ± {100 * share:.0f} %' if share else ''}: {MEASURING_METHODS[name]}"
 
 
-def draft(name: str, known: Mapping[str, float]) -> Draft:
+def draft_vehicle(name: str, known: Mapping[str, float]) -> Draft:
     """Draft a vehicle from known numbers, by dotted name of a vehicle file.
 
     Raises:
@@ -116,34 +116,34 @@ def draft(name: str, known: Mapping[str, float]) -> Draft:
         if one in known:
             check_value(f"vehicle '{name}': {one}", known[one], float, spec)
     values, guessed = dict(known), dict[str, float]()
-    lacking = [one for one in NEEDED if one not in values]
+    lacking = [one for one in REQUIRED_NUMBERS if one not in values]
     if MASS in lacking and len(lacking) > 1:
-        options = ", ".join(f"--{_option(one)}" for one in lacking[1:])
+        options = ", ".join(f"--{_option_name(one)}" for one in lacking[1:])
         raise InputError(
             f"vehicle new: {', '.join(lacking[1:])} cannot be guessed without a mass; "
             f"accepted: --mass, or all of {options}"
         )
     for one, length in _LENGTHS.items() if MASS in values else ():
         if one not in values:
-            values[one], guessed[one] = _rounded(length.factor * values[MASS] ** (1 / 3)), length.share
-    for one, value in _CENTRE.items():
+            values[one], guessed[one] = _round_guess(length.factor * values[MASS] ** (1 / 3)), length.share
+    for one, value in _CENTRE_POSITION.items():
         if one not in values and f"{ANTENNA}.z" in values:
             values[one], guessed[one] = value, 0.0
     if MASS in values and "mass.yaw_inertia" not in values:
         sides = (values["kinematics.contact_length"] * _BLOCK[0], values["kinematics.tread"] * _BLOCK[1])
         inertia = values[MASS] * sum(side * side for side in sides) / 12.0
-        values["mass.yaw_inertia"], guessed["mass.yaw_inertia"] = _rounded(inertia), 0.3
-    missing = tuple(_left_out(values))
-    kept = {one: value for one, value in values.items() if _is_whole(one, values)}
+        values["mass.yaw_inertia"], guessed["mass.yaw_inertia"] = _round_guess(inertia), 0.3
+    missing = tuple(_omitted_parts(values))
+    kept = {one: value for one, value in values.items() if _is_group_complete(one, values)}
     vehicle = make_vehicle(name, kept, f"vehicle '{name}'")
     return Draft(vehicle, kept, guessed, missing)
 
 
-def _left_out(values: Mapping[str, float]) -> Iterator[str]:
+def _omitted_parts(values: Mapping[str, float]) -> Iterator[str]:
     """Sentences on the omitted parts of the file, with the options that would provide them."""
     hydraulics = [name for name, _ in _specs() if name.startswith(_HYDRAULICS) and name not in values]
     if hydraulics:
-        options = " ".join(f"--{_option(name)}" for name in hydraulics)
+        options = " ".join(f"--{_option_name(name)}" for name in hydraulics)
         yield f"no forces and no soil without hydraulics: {options}"
     if MASS not in values:
         yield "no forces and no soil without --mass"
@@ -151,20 +151,20 @@ def _left_out(values: Mapping[str, float]) -> Iterator[str]:
         yield "no position by a receiver without its antenna: --antenna X Y Z"
 
 
-def _is_whole(name: str, values: Mapping[str, float]) -> bool:
+def _is_group_complete(name: str, values: Mapping[str, float]) -> bool:
     """Whether all numbers in the group of this one are known; incomplete groups are omitted."""
     group = name.rpartition(".")[0] + "."
     return all(one in values for one, _ in _specs() if one.startswith(group) and "." not in one[len(group) :])
 
 
-def options() -> Iterator[tuple[str, str, Spec]]:
+def number_options() -> Iterator[tuple[str, str, Spec]]:
     """(option, dotted name, spec) of each number with an option of its own."""
     for name, spec in _specs():
         if name.split(".")[0] in ("kinematics", "mass", "hydraulics") and name.count(".") == 1:
-            yield _option(name), name, spec
+            yield _option_name(name), name, spec
 
 
-def _option(name: str) -> str:
+def _option_name(name: str) -> str:
     return name.rpartition(".")[2].replace("_", "-")
 
 
@@ -172,6 +172,6 @@ def _specs() -> Iterator[tuple[str, Spec]]:
     return ((name, spec) for name, kind, spec in flat_fields(VehicleParameters) if kind is float)
 
 
-def _rounded(value: float) -> float:
+def _round_guess(value: float) -> float:
     """Rounded to two digits, the precision of a guess."""
     return float(f"{value:.2g}")

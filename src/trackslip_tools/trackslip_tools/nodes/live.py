@@ -24,8 +24,8 @@ from trackslip_common.nodes.run import run
 from trackslip_common.topics import DIAGNOSTICS
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.live import inputs
-from trackslip_tools.live.encoding import shown_ms
-from trackslip_tools.live.page import files
+from trackslip_tools.live.encoding import local_clock_ms
+from trackslip_tools.live.page import page_files
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
@@ -33,7 +33,7 @@ from trackslip_tools.live.state import PERIOD, LiveState
 _NICENESS = 5  # lower priority than the nodes that drive
 _SOURCES_PERIOD_S = 1.0  # interval between checks for changed pose sources
 _MOST_WAITING = 200  # queued messages of topics whose every message counts
-_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class LiveNode(TrackslipNode[LiveParameters]):
@@ -46,20 +46,20 @@ class LiveNode(TrackslipNode[LiveParameters]):
         """Create the state and the subscriptions."""
         namespace = self.get_namespace().strip("/")
         self._server: PageServer | None = None
-        self._files = files(f"Trackslip: {namespace or 'live'}")
+        self._files = page_files(f"Trackslip: {namespace or 'live'}")
         self._state = LiveState(namespace or "live", load_vehicle(), namespace)
         self._waiting: dict[str, deque[bytes]] = {}
         self._sources: dict[str, Subscription | None] = {}  # pose sources; None: invalid topic name
         for topic in inputs.TYPES:
-            self._listen(topic)
+            self._subscribe(topic)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(PERIOD, self._tick, clock=steady)
-        self.create_timer(_SOURCES_PERIOD_S, self._follow_sources, clock=steady)
+        self.create_timer(PERIOD, self._send_frame, clock=steady)
+        self.create_timer(_SOURCES_PERIOD_S, self._update_subscriptions, clock=steady)
 
     def activate(self) -> None:
         """Open the port, and start serving."""
         log = self.get_logger().warning
-        self._server = PageServer(self._files, self._state.whole, self.settings, log)
+        self._server = PageServer(self._files, self._state.full_state, self.settings, log)
         self._server.start()
         self.get_logger().info(f"the live page is at {self._server.address}")
 
@@ -74,18 +74,18 @@ class LiveNode(TrackslipNode[LiveParameters]):
         assert self._server is not None
         return [Health(OK, f"serving {self._server.address}", self._server.counts)]
 
-    def _listen(self, topic: str) -> Subscription:
+    def _subscribe(self, topic: str) -> Subscription:
         every = topic in inputs.EVERY_MESSAGE
         self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
-        qos = latched_qos() if topic in inputs.LATCHED else best_effort_qos() if every else _NEWEST
+        qos = latched_qos() if topic in inputs.LATCHED_TOPICS else best_effort_qos() if every else _NEWEST_QOS
         full = f"/{topic}" if topic == DIAGNOSTICS else topic
         kind = message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE))
         subscription: Subscription = self.create_subscription(
-            kind, full, partial(self._keep, topic), qos, raw=True
+            kind, full, partial(self._queue_message, topic), qos, raw=True
         )
         return subscription
 
-    def _follow_sources(self) -> None:
+    def _update_subscriptions(self) -> None:
         """Subscribe to the present pose sources of the slip estimator, and unsubscribe from former ones."""
         stated = self._state.pose_sources - inputs.TYPES.keys()
         for topic in self._sources.keys() - stated:
@@ -96,25 +96,25 @@ class LiveNode(TrackslipNode[LiveParameters]):
         for topic in stated - self._sources.keys():
             self._sources[topic] = None
             try:
-                self._sources[topic] = self._listen(topic)
+                self._sources[topic] = self._subscribe(topic)
             except InvalidTopicNameException as error:
                 self._waiting.pop(topic)
                 self.callback_failures.add(inputs.PARAMETERS, error)
 
-    def _tick(self) -> None:
+    def _send_frame(self) -> None:
         for topic, waiting in self._waiting.items():
             while waiting:
-                self._take(topic, waiting.popleft())
+                self._process_message(topic, waiting.popleft())
         now_ns = self.get_clock().now().nanoseconds
-        frame = self._state.tick(time.monotonic(), shown_ms(now_ns))
+        frame = self._state.next_frame(time.monotonic(), local_clock_ms(now_ns))
         if self._server is not None:
             self._server.push(frame)
 
-    def _keep(self, topic: str, data: bytes) -> None:
+    def _queue_message(self, topic: str, data: bytes) -> None:
         if topic in self._waiting:
             self._waiting[topic].append(data)
 
-    def _take(self, topic: str, data: bytes) -> None:
+    def _process_message(self, topic: str, data: bytes) -> None:
         try:
             message: Any = deserialize_message(data, message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE)))
             self._state.process(topic, message, time.monotonic())

@@ -71,7 +71,7 @@ ARRIVAL = np.dtype(
 )
 
 
-Stated = YawRateSource | HeadingSource | SwingSource | OdometrySource | VelocitySource
+SourceParameters = YawRateSource | HeadingSource | SwingSource | OdometrySource | VelocitySource
 
 
 class SourceReader(NamedTuple):
@@ -79,14 +79,14 @@ class SourceReader(NamedTuple):
 
     kind: int
     fields: RecordClass  # record class of the messages
-    stated: Stated | None = None  # parameters of the source
+    stated: SourceParameters | None = None  # parameters of the source
     absent: tuple[str, Refusal] | None = None  # field whose ABSENT rejects a message, and the reason
 
     def rows(self, read: Rows) -> Rows:
         """(n,) ARRIVAL, without source and log time, of (n,) records of ``fields``."""
         rows = np.zeros(len(read), ARRIVAL)
         rows["kind"], rows["stamp_ns"] = self.kind, read["stamp_ns"]
-        _FILL[self.kind](rows, read, self.stated)
+        _FILL_FUNCTIONS[self.kind](rows, read, self.stated)
         return rows
 
 
@@ -95,7 +95,7 @@ POSE_READER = SourceReader(POSE, PoseFields)
 SLIP_READER = SourceReader(SLIPS, SlipFields)
 
 
-def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
+def reader_of(stated: SourceParameters, type_name: str = "") -> SourceReader:
     """Reader of a source with these parameters; ``type_name``: message type of a heading source."""
     match stated:
         case YawRateSource():
@@ -191,7 +191,7 @@ def _fill_velocities(rows: Rows, read: Rows, velocity: VelocitySource) -> None:
         rows["noise"][:, i, i] = np.where(stated != 0.0, stated, velocity.stddev**2)
 
 
-_FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
+_FILL_FUNCTIONS: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
     POSE: _fill_poses,

@@ -47,7 +47,7 @@ class ComparablePart:
     first_ns: int | None = None
     last_ns: int | None = None
 
-    def holds(self, stamps_ns: IntArray) -> BoolArray:
+    def contains(self, stamps_ns: IntArray) -> BoolArray:
         """(n,) whether each stamp lies in the part."""
         if self.first_ns is None or self.last_ns is None:
             return np.zeros(len(stamps_ns), np.bool_)
@@ -78,7 +78,7 @@ class Comparability:
     parts: list[ComparablePart] = field(default_factory=list)
     breaks: list[Break] = field(default_factory=list)
 
-    def from_the_beginning(self) -> tuple[bool, int | None]:
+    def comparable_start(self) -> tuple[bool, int | None]:
         """Whether the beginning of the bag can be compared, and up to which stamp; None: to the bag's end."""
         if not self.parts and not self.breaks:
             return True, None
@@ -98,16 +98,15 @@ class JournalRuns:
     """
 
     def __init__(self, found: Comparability, sources: Sequence[str], sprockets: int) -> None:
-        self._found, self._sources, self._sprockets = found, sources, sprockets
+        self._comparability, self._sources, self._sprockets = found, sources, sprockets
         self._part: ComparablePart | None = None  # part of the next line
-        self._waits = False  # whether the run has no estimate yet
-        self._samples, self._requested = (
-            0,
-            0,
-        )  # sprocket samples since the last loss; number required
-        self._why = ""  # reason of the last loss
+        self._awaits_estimate = False  # whether the run has no estimate yet
+        self._samples, self._required_samples = 0, 0  # sprocket samples since the last loss
+        self._loss_reason = ""  # reason of the last loss
 
-    def follow(self, lines: Rows, missing: BoolArray, lost: IntArray, starts: Mapping[int, str]) -> IntArray:
+    def assign_parts(
+        self, lines: Rows, missing: BoolArray, lost: IntArray, starts: Mapping[int, str]
+    ) -> IntArray:
         """(n,) number of the part of each line, from 1 on; 0: outside all parts.
 
         Args:
@@ -121,63 +120,65 @@ class JournalRuns:
         interrupted = used | (lost != 0)
         interrupted[list(starts)] = True
         for k in np.flatnonzero(interrupted).tolist():
-            self._go_on(lines[at:k], numbers[at:k])
+            self._extend_part(lines[at:k], numbers[at:k])
             if k in starts:
-                self._begin(lines[k], int(lost[k]), starts[k])
+                self._begin_run(lines[k], int(lost[k]), starts[k])
             elif lost[k]:
-                self._interrupt(lines[k], _gap(int(lost[k])))
+                self._end_part(lines[k], _gap_reason(int(lost[k])))
             if used[k]:
-                self._skip(lines[k])
+                self._skip_missing(lines[k])
             at = k + 1 if used[k] else k
-        self._go_on(lines[at:], numbers[at:])
+        self._extend_part(lines[at:], numbers[at:])
         return numbers
 
-    def _go_on(self, lines: Rows, numbers: IntArray) -> None:
+    def _extend_part(self, lines: Rows, numbers: IntArray) -> None:
         """Assign lines without losses to the current part; starts a part at the first estimate of a run."""
         begin = 0
-        if self._waits:
+        if self._awaits_estimate:
             has_estimate = ~np.isin(lines["outcome"], _WITHOUT_ESTIMATE)
             begin = int(np.argmax(has_estimate)) if has_estimate.any() else len(lines)
             self._samples += int((lines["source"][:begin] == self._sprockets).sum())
             if begin < len(lines):
-                self._start(lines[begin])
+                self._begin_part(lines[begin])
         if self._part is not None and begin < len(lines):
-            numbers[begin:] = len(self._found.parts)
+            numbers[begin:] = len(self._comparability.parts)
             self._part.extend(lines[begin:], self._sprockets)
 
-    def _begin(self, line: np.void, lost: int, unknown: str) -> None:
+    def _begin_run(self, line: np.void, lost: int, unknown: str) -> None:
         """Begin a run after ``lost`` missing lines; ``unknown``: why its start cannot be repeated."""
-        self._part, self._waits = None, not unknown
-        self._samples, self._requested = 0, _KEPT_SAMPLES if lost else 0
-        self._why = f"the bag lacks the first {lost} measurements of the estimator's run" if lost else ""
+        self._part, self._awaits_estimate = None, not unknown
+        self._samples, self._required_samples = 0, _KEPT_SAMPLES if lost else 0
+        self._loss_reason = (
+            f"the bag lacks the first {lost} measurements of the estimator's run" if lost else ""
+        )
         if unknown:
-            self._break(line, unknown)
+            self._add_break(line, unknown)
 
-    def _start(self, line: np.void) -> None:
+    def _begin_part(self, line: np.void) -> None:
         """Begin a part at the first estimate of a run, if enough sprocket samples precede it."""
-        self._waits, log_time_ns = False, int(line["log_time_ns"])
-        if self._samples >= self._requested:
+        self._awaits_estimate, log_time_ns = False, int(line["log_time_ns"])
+        if self._samples >= self._required_samples:
             self._part = ComparablePart(log_time_ns, log_time_ns)
-            self._found.parts.append(self._part)
+            self._comparability.parts.append(self._part)
         else:
-            self._break(line, self._why)
+            self._add_break(line, self._loss_reason)
 
-    def _skip(self, line: np.void) -> None:
+    def _skip_missing(self, line: np.void) -> None:
         """End the part at a line whose measurement was used live and is missing."""
         source = self._sources[line["source"]]
-        self._interrupt(line, f"the bag lacks a measurement of {source} that was used live")
-        if self._waits and line["outcome"] not in _WITHOUT_ESTIMATE:
-            self._start(line)
+        self._end_part(line, f"the bag lacks a measurement of {source} that was used live")
+        if self._awaits_estimate and line["outcome"] not in _WITHOUT_ESTIMATE:
+            self._begin_part(line)
 
-    def _interrupt(self, line: np.void, why: str) -> None:
+    def _end_part(self, line: np.void, why: str) -> None:
         """End the part: a line before this one, or the measurement of this one, is missing."""
         if self._part is not None:
-            self._break(line, why)
-        self._part, self._why = None, self._why or why
-        self._samples, self._requested = 0, _KEPT_SAMPLES
+            self._add_break(line, why)
+        self._part, self._loss_reason = None, self._loss_reason or why
+        self._samples, self._required_samples = 0, _KEPT_SAMPLES
 
-    def _break(self, line: np.void, why: str) -> None:
-        self._found.breaks.append(Break(int(line["log_time_ns"]), why))
+    def _add_break(self, line: np.void, why: str) -> None:
+        self._comparability.breaks.append(Break(int(line["log_time_ns"]), why))
 
     def _is_used(self, lines: Rows) -> BoolArray:
         """(n,) whether the live estimate may depend on the measurement."""
@@ -185,7 +186,7 @@ class JournalRuns:
         return np.asarray(~np.isin(lines["outcome"], _NEVER_USED) & ~others)
 
 
-def _gap(lost: int) -> str:
+def _gap_reason(lost: int) -> str:
     """Reason of a break before a line that follows ``lost`` missing lines."""
     if lost == OUT_OF_ORDER:
         return "the bag merges recordings of several runs: the journal's lines are out of order"

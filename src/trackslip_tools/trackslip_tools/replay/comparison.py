@@ -4,7 +4,7 @@
 
 Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance,
 and z for the tilt. Rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed
-attitudes have to be converted by ``carried`` first.
+attitudes have to be converted by ``attitude_quaternions`` first.
 """
 
 import math
@@ -21,7 +21,7 @@ from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_from_half_angles
 from trackslip_tools.replay.comparable import Comparability, ComparablePart
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
-from trackslip_tools.replay.series import in_order
+from trackslip_tools.replay.series import sort_by_stamp
 
 WAITING_NS = 2 * HORIZON_NS  # wait for a pair: the replay lags the reading by up to a horizon and a batch
 TOLERANCE = 1e-9  # largest difference between a live and a replayed number
@@ -91,39 +91,43 @@ class TopicComparison:
         if len(live):
             newest_ns = int(live["stamp_ns"].max())
             self._newest_ns = newest_ns if self._newest_ns is None else max(self._newest_ns, newest_ns)
-        waiting, theirs = _together(self._live, live), _together(self._replayed, replayed)
+        waiting, theirs = _merge_rows(self._live, live), _merge_rows(self._replayed, replayed)
         _, mine, others = np.intersect1d(
             waiting["stamp_ns"], theirs["stamp_ns"], assume_unique=True, return_indices=True
         )
         inside = theirs["part"][others] > 0
-        self._pair(waiting[mine[inside]], theirs[others[inside]])
+        self._compare_pairs(waiting[mine[inside]], theirs[others[inside]])
         oldest_ns = (self._newest_ns or 0) - WAITING_NS
-        self._live, late = _divided(np.delete(waiting, mine), oldest_ns)
-        self._replayed, unpaired = _divided(np.delete(theirs, others), oldest_ns)
-        alone = _count_in(parts, late["stamp_ns"])
-        self._compared += alone
-        self._unmatched += alone + self._within(unpaired)
+        self._live, late = _split_by_age(np.delete(waiting, mine), oldest_ns)
+        self._replayed, unpaired = _split_by_age(np.delete(theirs, others), oldest_ns)
+        unpaired_live = _count_in_parts(parts, late["stamp_ns"])
+        self._compared += unpaired_live
+        self._unmatched += unpaired_live + self._count_between_pairs(unpaired)
 
-    def compared(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
+    def count_compared(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
         """Number of live rows in the parts, without those after ``end_ns``."""
-        return self._compared + self._alone(parts, end_ns)
+        return self._compared + self._count_unpaired_live(parts, end_ns)
 
-    def unmatched(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
+    def count_unmatched(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
         """Number of unpaired rows: live ones in the parts up to ``end_ns``, replayed ones between pairs."""
         if self._replayed is None:
             return 0
-        return self._unmatched + self._alone(parts, end_ns) + self._within(self._replayed)
+        return (
+            self._unmatched
+            + self._count_unpaired_live(parts, end_ns)
+            + self._count_between_pairs(self._replayed)
+        )
 
-    def _alone(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
+    def _count_unpaired_live(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
         stamps_ns = np.empty(0, np.int64) if self._live is None else self._live["stamp_ns"]
-        return _count_in(parts, stamps_ns[stamps_ns <= end_ns] if end_ns is not None else stamps_ns)
+        return _count_in_parts(parts, stamps_ns[stamps_ns <= end_ns] if end_ns is not None else stamps_ns)
 
-    def _pair(self, live: Rows, replayed: Rows) -> None:
+    def _compare_pairs(self, live: Rows, replayed: Rows) -> None:
         """Compare rows of the same stamps."""
         if not len(live):
             return
         self._compared += len(live)
-        self.largest = max(self.largest, _difference(live, replayed))
+        self.largest = max(self.largest, _largest_difference(live, replayed))
         for part in np.unique(replayed["part"]).tolist():
             stamps_ns = replayed["stamp_ns"][replayed["part"] == part]
             first_ns, last_ns = int(stamps_ns.min()), int(stamps_ns.max())
@@ -131,7 +135,7 @@ class TopicComparison:
             self._spans[part] = min(known[0], first_ns), max(known[1], last_ns)
             self._unmatched += self._beyond.pop(part, 0)
 
-    def _within(self, rows: Rows) -> int:
+    def _count_between_pairs(self, rows: Rows) -> int:
         """Number of unpaired replayed rows between pairs; counts those after the last pair in ``_beyond``."""
         count = 0
         for part, (first_ns, last_ns) in self._spans.items():
@@ -169,7 +173,9 @@ class LiveComparer:
         """
         columns = _COLUMNS[what]
         numbers = np.ones(len(replayed), np.int64) if numbers is None else numbers
-        self._compared[what].add(_picked(live, columns), _picked(replayed, columns, numbers), parts)
+        self._compared[what].add(
+            _select_columns(live, columns), _select_columns(replayed, columns, numbers), parts
+        )
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """Result over all topics; ``counts`` are those of the whole journal."""
@@ -177,8 +183,8 @@ class LiveComparer:
         parts, end_ns = counts.parts, counts.last_sprockets_ns
         largest, what = max((one.largest, what) for what, one in self._compared.items())
         return LiveComparison(
-            max(one.compared(parts, end_ns) for one in all_of_them),
-            sum(one.unmatched(parts, end_ns) for one in all_of_them),
+            max(one.count_compared(parts, end_ns) for one in all_of_them),
+            sum(one.count_unmatched(parts, end_ns) for one in all_of_them),
             largest.size,
             counts.lost_lines,
             counts.lost_inputs,
@@ -188,11 +194,11 @@ class LiveComparer:
         )
 
 
-def _count_in(parts: Sequence[ComparablePart], stamps_ns: IntArray) -> int:
+def _count_in_parts(parts: Sequence[ComparablePart], stamps_ns: IntArray) -> int:
     """Number of stamps that lie in any of the parts; of all stamps without parts."""
     if not parts:
         return len(stamps_ns)
-    return int(np.any([part.holds(stamps_ns) for part in parts], axis=0).sum())
+    return int(np.any([part.contains(stamps_ns) for part in parts], axis=0).sum())
 
 
 def odometry_rows(estimates: Rows, poses: Rows) -> Rows:
@@ -205,13 +211,13 @@ def odometry_rows(estimates: Rows, poses: Rows) -> Rows:
     rows["twist_covariance"] = estimates["twist_covariance"]
     for k, (place, speed) in enumerate((("x", "v_x"), ("y", "v_y"), ("heading", "yaw_rate"))):
         rows[place], rows[speed] = poses["pose"][:, k], estimates["twist"][:, k]
-    rows["heading"] = headings_of(carried(estimates, rows["heading"]))
+    rows["heading"] = headings_of(attitude_quaternions(estimates, rows["heading"]))
     return rows
 
 
 def tilt_rows(estimates: Rows) -> Rows:
     """(n,) roll, pitch and height of odometry for (n,) of ``ESTIMATE``."""
-    quaternions = carried(estimates, estimates["pose"][:, 2])
+    quaternions = attitude_quaternions(estimates, estimates["pose"][:, 2])
     rows = np.zeros(len(estimates), _dtype((*_TILT[2:], *_QUATERNION)))
     rows["stamp_ns"], rows["z"] = estimates["stamp_ns"], estimates["tilt"]["tilt"][:, 2]
     for name in _QUATERNION:
@@ -219,7 +225,7 @@ def tilt_rows(estimates: Rows) -> Rows:
     return rows
 
 
-def carried(estimates: Rows, headings: FloatArray) -> Rows:
+def attitude_quaternions(estimates: Rows, headings: FloatArray) -> Rows:
     """(n,) quaternions of the attitude as in messages: equal to live ones to the last bit."""
     tilts = estimates["tilt"]["tilt"]
     halves = [(angles / 2.0).tolist() for angles in (tilts[:, 0], tilts[:, 1], headings)]
@@ -244,7 +250,7 @@ def _dtype(names: Sequence[str]) -> np.dtype[np.void]:
     return np.dtype(fields + [(name, np.float64, _SHAPES.get(name, ())) for name in names])
 
 
-def _picked(rows: Rows, names: Sequence[str], numbers: IntArray | None = None) -> Rows:
+def _select_columns(rows: Rows, names: Sequence[str], numbers: IntArray | None = None) -> Rows:
     """The columns to compare and the part ``numbers``, by stamp; of several rows with one stamp the last."""
     dtype = _dtype(names)
     if numbers is not None:
@@ -260,28 +266,30 @@ def _picked(rows: Rows, names: Sequence[str], numbers: IntArray | None = None) -
             found[name] = headings_of(rows)
         else:
             found[name] = tilts_of(rows)[:, _TILT.index(name)]
-    return in_order(found)
+    return sort_by_stamp(found)
 
 
-def _together(known: Rows | None, more: Rows) -> Rows:
-    return more if known is None else in_order(np.concatenate((known, more)))
+def _merge_rows(known: Rows | None, more: Rows) -> Rows:
+    return more if known is None else sort_by_stamp(np.concatenate((known, more)))
 
 
-def _divided(rows: Rows, oldest_ns: int) -> tuple[Rows, Rows]:
+def _split_by_age(rows: Rows, oldest_ns: int) -> tuple[Rows, Rows]:
     """The rows that may still find a pair, and the others."""
     young = rows["stamp_ns"] >= oldest_ns
     return rows[young], rows[~young]
 
 
-def _difference(a: Rows, b: Rows) -> _Difference:
+def _largest_difference(a: Rows, b: Rows) -> _Difference:
     """The largest difference of any column, headings wrapped; nan and nan differ by 0."""
     largest = _Difference(0.0, "")
     for name in (a.dtype.names or ())[1:]:
-        apart: FloatArray = np.abs(a[name] - b[name])
+        difference: FloatArray = np.abs(a[name] - b[name])
         if name == "heading":
-            apart = np.abs(wrap_angles(apart))
-        apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)
-        largest = max(largest, _Difference(float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)), name))
+            difference = np.abs(wrap_angles(difference))
+        difference = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, difference)
+        largest = max(
+            largest, _Difference(float(np.nan_to_num(difference, nan=np.inf).max(initial=0.0)), name)
+        )
     return largest
 
 
@@ -299,7 +307,7 @@ def compared_parts(live: LiveComparison, start_ns: int) -> dict[str, Any]:
     }
 
 
-def compared_lines(live: LiveComparison, start_ns: int) -> list[str]:
+def partial_comparison_lines(live: LiveComparison, start_ns: int) -> list[str]:
     """A line for the terminal if the replay was only compared in part."""
     found = live.comparability
     if not found.breaks or not found.parts:

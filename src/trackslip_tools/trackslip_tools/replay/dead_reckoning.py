@@ -16,9 +16,9 @@ from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.series import series_of
 
-_REORDERED_NS = 2_000_000_000  # largest disorder of stamps: the estimator's window
-_SILENT_NS = 60_000_000_000  # gyro silence after which its rate is held constant
-_LARGEST = 1e9  # rad, rad/s: largest plausible value
+_MAX_DISORDER_NS = 2_000_000_000  # largest disorder of stamps: the estimator's window
+_GYRO_TIMEOUT_NS = 60_000_000_000  # gyro silence after which its rate is held constant
+_MAX_VALUE = 1e9  # rad, rad/s: largest plausible value
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Path:
     poses: FloatArray  # (n, 3) x m, y m, heading rad (continuous)
     covariances: FloatArray | None = None  # (n, 3, 3) of the poses, if the messages of a reference have them
 
-    def at(self, stamps_ns: IntArray) -> FloatArray:
+    def poses_at(self, stamps_ns: IntArray) -> FloatArray:
         """(k, 3) poses at other stamps, linear between samples; nan outside the path."""
         origin = self.stamps_ns[0]
         t, requested = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
@@ -44,12 +44,12 @@ class DeadReckoner:
         self._vehicle, self._with_gyro = vehicle, with_gyro
         self._sprockets: list[Rows] = []
         self._gyro: list[Rows] = []
-        self._at: tuple[int, FloatArray] | None = None  # stamp and pose at the end of the path so far
+        self._end: tuple[int, FloatArray] | None = None  # stamp and pose at the end of the path so far
         self.first_ns: int | None = None  # stamp of the first sprocket sample
 
     def add(self, rows: Rows) -> None:
         """Add rows of ``ARRIVAL``."""
-        for parts, found in ((self._sprockets, _sprocketed(rows)), (self._gyro, _yaw_rates(rows))):
+        for parts, found in ((self._sprockets, _sprocket_samples(rows)), (self._gyro, _yaw_rates(rows))):
             if len(found):
                 parts.append(found)
         if self.first_ns is None and self._sprockets:
@@ -57,37 +57,37 @@ class DeadReckoner:
 
     def begin(self, stamp_ns: int, pose: FloatArray) -> None:
         """Start from this pose (3,) at a stamp."""
-        self._at = stamp_ns, pose
+        self._end = stamp_ns, pose
 
     def advance(self, *, whole: bool = False) -> Path | None:
         """The next piece of the path, as far as no late sample can change it, or ``whole`` to the end."""
-        if self._at is None or not self._sprockets or (self._with_gyro and not self._gyro):
+        if self._end is None or not self._sprockets or (self._with_gyro and not self._gyro):
             return None
-        sprockets = _by_stamp(np.concatenate(self._sprockets))
+        sprockets = _sort_by_stamp(np.concatenate(self._sprockets))
         last_ns = int(sprockets["stamp_ns"][-1])
-        until_ns, rates = last_ns - _REORDERED_NS, None
+        until_ns, rates = last_ns - _MAX_DISORDER_NS, None
         if self._with_gyro:
-            rates = _by_stamp(np.concatenate(self._gyro))
-            until_ns = min(until_ns, max(int(rates["stamp_ns"][-1]), last_ns - _SILENT_NS))
+            rates = _sort_by_stamp(np.concatenate(self._gyro))
+            until_ns = min(until_ns, max(int(rates["stamp_ns"][-1]), last_ns - _GYRO_TIMEOUT_NS))
         end = len(sprockets) if whole else int(np.searchsorted(sprockets["stamp_ns"], until_ns, side="right"))
-        if not end or sprockets["stamp_ns"][end - 1] <= self._at[0]:
+        if not end or sprockets["stamp_ns"][end - 1] <= self._end[0]:
             return None
-        path = dead_reckon(self._vehicle, sprockets[:end], *self._at, rates)
-        self._at = int(path.stamps_ns[-1]), path.poses[-1]
+        path = dead_reckon(self._vehicle, sprockets[:end], *self._end, rates)
+        self._end = int(path.stamps_ns[-1]), path.poses[-1]
         self._sprockets = [sprockets[end - 1 :]]
         if rates is not None:
-            self._gyro = [rates[max(int(np.searchsorted(rates["stamp_ns"], self._at[0])) - 1, 0) :]]
+            self._gyro = [rates[max(int(np.searchsorted(rates["stamp_ns"], self._end[0])) - 1, 0) :]]
         return path
 
 
-def _sprocketed(rows: Rows) -> Rows:
+def _sprocket_samples(rows: Rows) -> Rows:
     """Speeds and positions of the valid sprocket samples; both positions may be missing (nan)."""
     rows = rows[rows["kind"] == SPROCKETS]
     speeds, positions = (
         np.column_stack((rows[f"left_{name}"], rows[f"right_{name}"])) for name in ("speed", "angle")
     )
-    sound = (np.abs(speeds) < _LARGEST).all(axis=1)
-    sound &= (np.abs(positions) < _LARGEST).all(axis=1) | np.isnan(positions).all(axis=1)
+    sound = (np.abs(speeds) < _MAX_VALUE).all(axis=1)
+    sound &= (np.abs(positions) < _MAX_VALUE).all(axis=1) | np.isnan(positions).all(axis=1)
     columns = {"stamp_ns": rows["stamp_ns"][sound], "speeds": speeds[sound], "positions": positions[sound]}
     return series_of(**columns).rows
 
@@ -96,11 +96,11 @@ def _yaw_rates(rows: Rows) -> Rows:
     """The valid yaw rates."""
     rows = rows[rows["kind"] == YAW_RATE]
     rates, variances = rows["value"][:, 0], rows["noise"][:, 0, 0]
-    sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
+    sound = (np.abs(rates) < _MAX_VALUE) & (variances > 0.0) & (variances < _MAX_VALUE**2)
     return series_of(stamp_ns=rows["stamp_ns"][sound], rate=rates[sound]).rows
 
 
-def _by_stamp(rows: Rows) -> Rows:
+def _sort_by_stamp(rows: Rows) -> Rows:
     if (np.diff(rows["stamp_ns"]) >= 0).all():
         return rows
     return rows[np.argsort(rows["stamp_ns"], kind="stable")]
@@ -122,8 +122,8 @@ def dead_reckon(
         at_start = np.interp(start_ns - stamps[0], stamps - stamps[0], travel)
         return np.asarray(np.concatenate(([at_start], travel[after])) - at_start, dtype=np.float64)
 
-    left, right = (since_start(vehicle.rolling_radius * turned) for turned in _turned(sprockets))
-    turned = (right - left) / vehicle.tread if gyro is None else _integral(gyro, grid)
+    left, right = (since_start(vehicle.rolling_radius * turned) for turned in _sprocket_angles(sprockets))
+    turned = (right - left) / vehicle.tread if gyro is None else _gyro_angle(gyro, grid)
     heading = start_pose[2] + turned
     steps = np.diff((left + right) / 2.0)
     halfway = (heading[1:] + heading[:-1]) / 2.0
@@ -132,7 +132,7 @@ def dead_reckon(
     return Path(grid, np.stack((x, y, heading), axis=-1))
 
 
-def _turned(sprockets: Rows) -> FloatArray:
+def _sprocket_angles(sprockets: Rows) -> FloatArray:
     """(2, n) angle of the left and right sprocket, rad: the positions, or the integral of the speeds."""
     if not np.isnan(sprockets["positions"]).any():
         return np.asarray(sprockets["positions"].T)
@@ -140,7 +140,7 @@ def _turned(sprockets: Rows) -> FloatArray:
     return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))).T
 
 
-def _integral(gyro: Rows, grid: IntArray) -> FloatArray:
+def _gyro_angle(gyro: Rows, grid: IntArray) -> FloatArray:
     """(n,) angle since grid[0], rad, by the trapezoidal rule; the rate is held before and after the log."""
     stamps, rates = gyro["stamp_ns"], gyro["rate"]
     edges = np.unique(np.concatenate((stamps, grid)))

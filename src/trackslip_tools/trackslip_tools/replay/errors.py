@@ -9,12 +9,12 @@ import numpy as np
 from trackslip_common.arrays import FloatArray, Rows
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import Score, errors_of, moving_slips, nees_of_each, path_of, slip_errors
-from trackslip_tools.replay.series import Series, in_order, series_of
+from trackslip_tools.replay.series import Series, series_of, sort_by_stamp
 
 _RECENT_NS = 1_000_000_000  # largest delay of a truth of the same stamp
 
 
-class Waiting:
+class TimestampQueue:
     """Rows that wait for another series to reach their stamps."""
 
     def __init__(self) -> None:
@@ -30,28 +30,28 @@ class Waiting:
         """The newest stamp; 0 without rows."""
         return max((int(rows["stamp_ns"].max()) for rows in self._parts), default=0)
 
-    def due(self, stamp_ns: int) -> Rows | None:
+    def pop_until(self, stamp_ns: int) -> Rows | None:
         """Remove and return the rows up to a stamp, by stamp; the last of equal stamps. None: no rows."""
         if not self._parts:
             return None
         rows = self._parts[0] if len(self._parts) == 1 else np.concatenate(self._parts)
         due = rows["stamp_ns"] <= stamp_ns
         self._parts = [] if due.all() else [rows[~due]]
-        return in_order(rows[due]) if due.any() else None
+        return sort_by_stamp(rows[due]) if due.any() else None
 
 
-class Pairs:
+class TruthPairing:
     """Pairs estimates with the true rows around them; both come in pieces."""
 
     def __init__(self) -> None:
-        self._truth, self._estimates = Waiting(), Waiting()
+        self._truth, self._estimates = TimestampQueue(), TimestampQueue()
 
     def add(self, estimates: Rows, truth: Rows | None) -> tuple[Rows, Rows] | None:
         """Add both; returns the estimates between two true rows, and these rows. None: no pairs yet."""
         self._truth.add(truth)
         self._estimates.add(estimates)
         until_ns = min(self._estimates.last_ns, self._truth.last_ns)
-        found, true = self._estimates.due(until_ns), self._truth.due(until_ns)
+        found, true = self._estimates.pop_until(until_ns), self._truth.pop_until(until_ns)
         if found is None or true is None:
             return None
         inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
@@ -66,11 +66,11 @@ class PathErrors:
     """
 
     def __init__(self) -> None:
-        self._reference = Waiting()  # rows of stamp_ns, x, y, heading, and covariance if there is one
+        self._reference = TimestampQueue()  # rows of stamp_ns, x, y, heading, and covariance if there is one
         self._recent: tuple[Path, FloatArray] | None = None  # end of the previous piece
         self._position = self._heading = self._nees = self._nees_position = 0.0  # sums of squares
         self.last_position: float | None = None  # m, at the newest compared sample
-        self._count = self._headed = self._with_nees = self._with_nees_position = 0
+        self._count = self._with_heading = self._with_nees = self._with_nees_position = 0
 
     def add(self, path: Path, reference: Rows | None, covariances: FloatArray | None = None) -> None:
         """Add both; ``covariances`` (n, 3, 3) of the path's poses."""
@@ -79,10 +79,10 @@ class PathErrors:
             return
         P = np.empty((len(path.stamps_ns), 0, 0)) if covariances is None else covariances
         if self._recent is not None and self._recent[0].stamps_ns[-1] < path.stamps_ns[0]:
-            path, P = _joined(*self._recent, path, P)
+            path, P = _join_paths(*self._recent, path, P)
         recent = slice(int(np.searchsorted(path.stamps_ns, path.stamps_ns[-1] - _RECENT_NS)), None)
         self._recent = Path(path.stamps_ns[recent], path.poses[recent]), P[recent]
-        due = self._reference.due(int(path.stamps_ns[-1]))
+        due = self._reference.pop_until(int(path.stamps_ns[-1]))
         if due is None:
             return
         R = due["covariance"] if "covariance" in (due.dtype.names or ()) else None
@@ -93,7 +93,7 @@ class PathErrors:
             self.last_position = float(np.hypot(*errors[-1, :2]))
         self._position += float(np.sum(errors[:, :2] ** 2))
         headed = np.isfinite(errors[:, 2])
-        self._headed += int(headed.sum())
+        self._with_heading += int(headed.sum())
         self._heading += float(np.sum(errors[headed, 2] ** 2))
         if covariances is not None:
             pose, position = nees_of_each(path, P, true)[0], nees_of_each(path, P, true, 2)[0]
@@ -105,7 +105,7 @@ class PathErrors:
 
     def add_estimates(self, estimates: Rows, reference: Rows | None) -> None:
         """Add both; estimates (n,) with stamp_ns, pose, pose_covariance."""
-        estimates = in_order(estimates)
+        estimates = sort_by_stamp(estimates)
         self.add(path_of(estimates), reference, estimates["pose_covariance"])
 
     @property
@@ -113,7 +113,7 @@ class PathErrors:
         """RMS errors; None without compared samples."""
         if not self._count:
             return None
-        heading = math.sqrt(self._heading / self._headed) if self._headed else None
+        heading = math.sqrt(self._heading / self._with_heading) if self._with_heading else None
         return Score(self._count, math.sqrt(self._position / self._count), heading)
 
     @property
@@ -132,7 +132,7 @@ class SlipErrors:
 
     def __init__(self, tread: float) -> None:
         self._tread = tread
-        self._slips, self._odometry = Waiting(), Waiting()
+        self._slips, self._odometry = TimestampQueue(), TimestampQueue()
         self._recent: Rows | None = None  # estimates
         self._sum, self._count = 0.0, 0
 
@@ -142,14 +142,14 @@ class SlipErrors:
         self._odometry.add(odometry)
         if not len(estimates):
             return
-        estimates = in_order(estimates)
+        estimates = sort_by_stamp(estimates)
         if self._recent is not None and self._recent["stamp_ns"][-1] < estimates["stamp_ns"][0]:
             estimates = np.concatenate((self._recent, estimates))
         self._recent = estimates[
             np.searchsorted(estimates["stamp_ns"], estimates["stamp_ns"][-1] - _RECENT_NS) :
         ]
         until_ns = min(int(estimates["stamp_ns"][-1]), self._slips.last_ns, self._odometry.last_ns)
-        true, driven = self._slips.due(until_ns), self._odometry.due(until_ns)
+        true, driven = self._slips.pop_until(until_ns), self._odometry.pop_until(until_ns)
         if true is None or driven is None:
             return
         left, right = estimates["slips"][:, 0], estimates["slips"][:, 1]
@@ -163,7 +163,7 @@ class SlipErrors:
         return math.sqrt(self._sum / self._count) if self._count else None
 
 
-def _joined(before: Path, P_before: FloatArray, path: Path, P: FloatArray) -> tuple[Path, FloatArray]:
+def _join_paths(before: Path, P_before: FloatArray, path: Path, P: FloatArray) -> tuple[Path, FloatArray]:
     """Two pieces of a path as one, with continuous heading, and their covariances."""
     stamps_ns = np.concatenate((before.stamps_ns, path.stamps_ns))
     poses = np.concatenate((before.poses, path.poses))

@@ -11,13 +11,13 @@ from trackslip_common.arrays import BoolArray, Rows
 from trackslip_estimation.slip.records import POSE
 
 
-class Filtering:
+class ArrivalFilter:
     """Removes arrivals that the filters hide from the estimator; ``origin_ns``: first log time of the bag."""
 
     def __init__(self, filters: InputFilters, sources: Sequence[str], origin_ns: int) -> None:
         self._filters, self._sources, self._origin_ns = filters, sources, origin_ns
         self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
-        self._thinned = [_Thinned(thin, sources, filters.seed) for thin in filters.thin]
+        self._thinned = [_Thinner(thin, sources, filters.seed) for thin in filters.thin]
 
     def __call__(self, rows: Rows) -> Rows:
         """The arrivals (in log order) that remain, with the noise that thinning adds."""
@@ -35,7 +35,7 @@ class Filtering:
         return rows
 
 
-class _Thinned:
+class _Thinner:
     """One source at a lower rate: the first message at or after each tick."""
 
     def __init__(self, thin: Thin, sources: Sequence[str], seed: int) -> None:
@@ -47,7 +47,7 @@ class _Thinned:
 
     def __call__(self, rows: Rows) -> Rows:
         own = np.flatnonzero(rows["source"] == self._source)
-        kept = self._kept(rows["stamp_ns"][own].tolist())
+        kept = self._is_kept(rows["stamp_ns"][own].tolist())
         stays = np.ones(len(rows), np.bool_)
         stays[own[~kept]] = False
         own = own[kept]
@@ -60,7 +60,7 @@ class _Thinned:
             rows["noise"][own] = covariances
         return rows[stays]
 
-    def _kept(self, stamps_ns: list[int]) -> BoolArray:
+    def _is_kept(self, stamps_ns: list[int]) -> BoolArray:
         kept = np.zeros(len(stamps_ns), np.bool_)
         for k, stamp_ns in enumerate(stamps_ns):
             if self._due_ns is None or stamp_ns >= self._due_ns:

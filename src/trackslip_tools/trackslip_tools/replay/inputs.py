@@ -57,7 +57,7 @@ from trackslip_tools.replay.arrivals import (
     reader_of,
 )
 from trackslip_tools.replay.comparable import LINE
-from trackslip_tools.replay.filtering import Filtering
+from trackslip_tools.replay.filtering import ArrivalFilter
 from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
@@ -65,7 +65,7 @@ SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # the bag holds only their lines in the journal
 
 
-class Logged(NamedTuple):
+class LoggedMessages(NamedTuple):
     """Messages of a topic, in log order."""
 
     log_times_ns: IntArray  # (n,)
@@ -77,7 +77,7 @@ class Batch(NamedTuple):
     """Inputs from some seconds of a bag."""
 
     rows: Rows  # (n,) ARRIVAL in live order
-    tables: dict[str, Logged]  # requested topic → messages; never later than the rows of the same time
+    tables: dict[str, LoggedMessages]  # requested topic → messages; never later than rows of the same time
 
 
 class InputStream:
@@ -98,17 +98,19 @@ class InputStream:
         self._bag, self._filters, self._tables = bag, filters, tables
         self._reloadable = reloadable_names(p)
         names = {topic: filters.remap.get(name, name) for topic, name in input_names(bag).items()}
-        self._readers = _readers(p, {name: bag.topics[topic].type_name for topic, name in names.items()})
+        self._readers = _source_readers(
+            p, {name: bag.topics[topic].type_name for topic, name in names.items()}
+        )
         self.sources = (*self._readers, RELOAD, *_COMMANDS)
         requested = {*self._readers, REPORTS, RELOAD, *tables}
         self._names = {topic: name for topic, name in names.items() if name in requested}
         _require_types(bag, self._names, p, tables)
-        self._span = tuple(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s))
+        self._span = tuple(log_time_at(bag, t) for t in (filters.start_s, filters.stop_s))
         self.reloads: list[Reload] = []
         self.starts: list[Start] = []
         self.messages: Counter[str] = Counter()  # topic → number of messages read
         self.counts = JournalCounts()
-        self.refused, self._frames = Tally(), p.frames_of_sources()
+        self.rejected, self._frames = Tally(), p.frames_of_sources()
         self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
 
@@ -128,22 +130,22 @@ class InputStream:
         return max(self._last_ns - self._first_ns, 0) * 1e-9
 
     def __iter__(self) -> Iterator[Batch]:
-        filtering = Filtering(self._filters, self.sources, self._bag.start_ns)
+        filtering = ArrivalFilter(self._filters, self.sources, self._bag.start_ns)
         self.hidden = filtering.hidden
         commands = [self.sources.index(name) for name in _COMMANDS]
         parameters = _ParameterChanges(self._bag, self._reloadable, self.reloads, self.starts)
         sprockets = self.sources.index(SPROCKETS)
-        order = LiveOrder(self.sources, self._journaled(), commands, sprockets, parameters.unknown)
+        order = LiveOrder(self.sources, self._journaled_sources(), commands, sprockets, parameters.unknown)
         self.counts = order.counts
         for stretch in read_tables(self._bag, self._names, *self._span):
-            rows, lines = self._arrivals(stretch, parameters), self._lines(stretch)
+            rows, lines = self._read_arrivals(stretch, parameters), self._journal_lines(stretch)
             ready = order.push(filtering(rows), lines, stretch.until_ns)
-            yield Batch(ready, self._logged(stretch))
+            yield Batch(ready, self._requested_tables(stretch))
         rest = order.finish()
         if len(rest):
             yield Batch(rest, {})
 
-    def _journaled(self) -> set[int]:
+    def _journaled_sources(self) -> set[int]:
         """Sources with lines in the journal; the journal is read until all sources of the bag are found."""
         counts = {name: self._bag.topics[topic].count for topic, name in self._names.items()}
         missing = {name for name in self._readers if counts.get(name, 0)}
@@ -151,14 +153,14 @@ class InputStream:
         found: set[int] = set()
         reports = [topic for topic in self._names if self._names[topic] == REPORTS]
         for stretch in read_tables(self._bag, reports, *self._span) if reports else ():
-            sources = {int(source) for source in self._lines(stretch)["source"]}
+            sources = {int(source) for source in self._journal_lines(stretch)["source"]}
             found |= sources
             missing -= {self.sources[source] for source in sources if source >= 0}
             if not missing:
                 break
         return found
 
-    def _lines(self, stretch: Stretch) -> Rows:
+    def _journal_lines(self, stretch: Stretch) -> Rows:
         """(n,) LINE of the journal; source −1 for topics that are no inputs."""
         parts = [np.empty(0, LINE)]
         for topic, table in stretch.items():
@@ -172,7 +174,7 @@ class InputStream:
                 parts.append(lines)
         return np.concatenate(parts)
 
-    def _arrivals(self, stretch: Stretch, parameters: "_ParameterChanges") -> Rows:
+    def _read_arrivals(self, stretch: Stretch, parameters: "_ParameterChanges") -> Rows:
         """(n,) ARRIVAL in log order; changes of parameters come after inputs of the same log time."""
         parts, places = [np.empty(0, ARRIVAL)], [np.empty(0, np.int64)]
         changes = [np.empty(0, ARRIVAL)]
@@ -187,44 +189,44 @@ class InputStream:
                 read = table.rows(reader.fields)
                 rows = reader.rows(read)
                 if reader.kind == ODOMETRY_KIND:
-                    rows["frame"] = _frames(table)
+                    rows["frame"] = _frame_numbers(table)
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
-                usable = self._in_frame(name, table)
-                usable &= self._present(name, reader, read, usable)
-                self._extend(rows["stamp_ns"][usable], name)
+                usable = self._has_required_frame(name, table)
+                usable &= self._has_measurement(name, reader, read, usable)
+                self._extend_duration(rows["stamp_ns"][usable], name)
                 parts.append(rows[usable])
                 places.append(table.order[usable])
         rows = np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
         rows = np.concatenate((rows, *changes))
         return rows[np.argsort(rows["log_time_ns"], kind="stable")]
 
-    def _in_frame(self, name: str, table: TopicTable) -> BoolArray:
+    def _has_required_frame(self, name: str, table: TopicTable) -> BoolArray:
         """(n,) whether each message has the frame_id required of its source, as the live node checks."""
         requested = self._frames.get(name)
         if requested is None:
             return np.ones(len(table), np.bool_)
         numbers = table.rows(FrameFields)["frame"]
         usable = np.array([text == requested for text in table.texts])[numbers]
-        self.refused.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
+        self.rejected.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
         return np.asarray(usable)
 
-    def _present(self, name: str, reader: SourceReader, read: Rows, usable: BoolArray) -> BoolArray:
+    def _has_measurement(self, name: str, reader: SourceReader, read: Rows, usable: BoolArray) -> BoolArray:
         """(n,) whether each message contains the measured quantity, as the live node checks."""
         if reader.absent is None:
             return usable
         field_, reason = reader.absent
         lacks = usable & (read[field_] == ABSENT)
-        self.refused.add(name, reason, int(lacks.sum()))
+        self.rejected.add(name, reason, int(lacks.sum()))
         return np.asarray(~lacks)
 
-    def _extend(self, stamps_ns: IntArray, name: str) -> None:
+    def _extend_duration(self, stamps_ns: IntArray, name: str) -> None:
         if len(stamps_ns) and name != SET_POSE:  # a manual pose may lack a stamp
             self._first_ns = min(self._first_ns, int(stamps_ns.min()))
             self._last_ns = max(self._last_ns, int(stamps_ns.max()))
 
-    def _logged(self, stretch: Stretch) -> dict[str, Logged]:
+    def _requested_tables(self, stretch: Stretch) -> dict[str, LoggedMessages]:
         return {
-            self._names[topic]: Logged(
+            self._names[topic]: LoggedMessages(
                 table.log_times_ns,
                 table.rows(SwingFields if self._names[topic] == TRUE_SWING else RECORDS[table.type_name]),
                 table,
@@ -262,12 +264,14 @@ class _ParameterChanges:
         for k in range(len(table)):
             message = table.message(k)
             now = read_parameters(self._bag, message)
-            changed, rows["reload"][k] = self._changed(now, self._before), -1
+            changed, rows["reload"][k] = self._changed_parameters(now, self._before), -1
             if changed:
                 rows["reload"][k] = len(self._reloads)
                 self._reloads.append(Reload(changed))
             rows["start"][k] = len(self._starts)
-            self._starts.append(Start(self._changed(now, self._first), read_learned(self._bag, message)))
+            self._starts.append(
+                Start(self._changed_parameters(now, self._first), read_learned(self._bag, message))
+            )
             other = [name for name in now if now[name] != self._first.get(name, now[name])]
             other = sorted(set(other) - self._names - set(mounting_names(self._first)))
             self.unknown.append(
@@ -276,11 +280,11 @@ class _ParameterChanges:
             self._before = now
         return rows[rows["log_time_ns"] > self._first_ns]
 
-    def _changed(self, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    def _changed_parameters(self, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
         return {n: now[n] for n in self._names & now.keys() if now[n] != before.get(n)}
 
 
-def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
+def _source_readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
     """Source → reader; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
     for stated in (p.gyros(), p.compasses(), p.swing_encoders(), p.odometries(), p.velocities()):
@@ -289,7 +293,7 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 
 
-def _frames(table: TopicTable) -> IntArray:
+def _frame_numbers(table: TopicTable) -> IntArray:
     """(n,) the number of each message's frame_id, as in the live node."""
     numbers = table.rows(FrameFields)["frame"]
     of_texts: IntArray = np.array([frame_number(text) for text in table.texts], np.int64)
@@ -316,6 +320,6 @@ def _require_types(
             raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {' or '.join(accepted)}")
 
 
-def absolute_time(bag: Bag, seconds: float) -> int | None:
+def log_time_at(bag: Bag, seconds: float) -> int | None:
     """Log time of a time from the bag's first message, ns; None for no limit."""
     return bag.start_ns + round(seconds * 1e9) if np.isfinite(seconds) else None

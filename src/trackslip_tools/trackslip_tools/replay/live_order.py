@@ -24,10 +24,10 @@ from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_S
 from trackslip_tools.replay.comparable import LINE, OUT_OF_ORDER, Comparability, ComparablePart, JournalRuns
 
 HORIZON_NS = 60_000_000_000  # largest log time between an input and its line; DDS repairs within 5 s
-_COPY_NS = 5_000_000_000  # largest log time between a line and its copy in another recording of the run
-_MOST_RECENT = 10_000  # lines in which copies are sought: ten times what a machine logs in that time
-_LATE_NS = 5_000_000_000  # largest delay of a run's parameters after its first line, log time
-_END_NS, _NONE = np.iinfo(np.int64).max, np.iinfo(np.int64).max
+_MAX_COPY_DELAY_NS = 5_000_000_000  # log time from a line to its copy in another recording of the run
+_MAX_RECENT_LINES = 10_000  # lines in which copies are sought: ten times what a machine logs in that time
+_MAX_PARAMETER_DELAY_NS = 5_000_000_000  # largest delay of a run's parameters after its first line, log time
+_END_NS, _NO_LINE = np.iinfo(np.int64).max, np.iinfo(np.int64).max
 _NO_PARAMETERS = "the bag lacks the parameters of the estimator that was started again"
 
 
@@ -75,25 +75,28 @@ class LiveOrder:
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
         self._recent = np.empty(0, LINE)  # recent lines, with which new ones are compared to find copies
         self._numbered = False  # whether lines have numbers
-        self._followed, self._followed_ns = _NONE, 0  # number and log time of the last processed line
+        self._last_sequence, self._last_line_ns = (
+            _NO_LINE,
+            0,
+        )  # number and log time of the last processed line
         self._part = 0  # part of the last processed line
 
     def push(self, rows: Rows, lines: Rows, until_ns: int) -> Rows:
         """Arrivals that are now in live order, after adding arrivals and lines logged before ``until_ns``."""
-        lines = self._without_copies(lines)
-        self._count(lines)
+        lines = self._remove_copies(lines)
+        self._count_lines(lines)
         if not self._journaled.size:
             rows["part"] = 1
-            return rows[~_changes_nothing(rows)]
+            return rows[~_repeats_parameters(rows)]
         self._rows = np.concatenate((self._rows, rows))
         self._lines = np.concatenate((self._lines, lines))
-        return self._follow(until_ns - HORIZON_NS)
+        return self._order_until(until_ns - HORIZON_NS)
 
     def finish(self) -> Rows:
         """The remaining arrivals in live order; called after the last ``push``."""
-        return self._follow(_END_NS)
+        return self._order_until(_END_NS)
 
-    def _count(self, lines: Rows) -> None:
+    def _count_lines(self, lines: Rows) -> None:
         self.counts.lines += len(lines)
         stamps_ns = lines["stamp_ns"][lines["source"] == self._sprockets]
         if stamps_ns.size:
@@ -101,8 +104,8 @@ class LiveOrder:
             newest = int(stamps_ns.max())
             self.counts.last_sprockets_ns = newest if before is None else max(before, newest)
 
-    def _without_copies(self, lines: Rows) -> Rows:
-        """The lines without those that repeat a line logged up to ``_COPY_NS`` earlier."""
+    def _remove_copies(self, lines: Rows) -> Rows:
+        """The lines without those that repeat a line logged up to ``_MAX_COPY_DELAY_NS`` earlier."""
         self._numbered |= bool((lines["sequence"] > 0).any())
         known = np.concatenate((self._recent, lines))
         if self._numbered and not (np.diff(known["sequence"]) > 0).all():
@@ -110,36 +113,39 @@ class LiveOrder:
             order = np.lexsort([known[name] for name in names])
             steps = [np.diff(known[name][order]) for name in names]
             is_copy = np.zeros(len(known), np.bool_)
-            is_copy[order[1:]] = (steps[0] <= _COPY_NS) & ~np.any(steps[1:], axis=0)
+            is_copy[order[1:]] = (steps[0] <= _MAX_COPY_DELAY_NS) & ~np.any(steps[1:], axis=0)
             lines, known = lines[~is_copy[len(self._recent) :]], known[~is_copy]
         if len(known):
-            oldest_ns = int(known["log_time_ns"].max()) - _COPY_NS
-            self._recent = known[known["log_time_ns"] >= oldest_ns][-_MOST_RECENT:]
+            oldest_ns = int(known["log_time_ns"].max()) - _MAX_COPY_DELAY_NS
+            self._recent = known[known["log_time_ns"] >= oldest_ns][-_MAX_RECENT_LINES:]
         return lines
 
-    def _follow(self, limit_ns: int) -> Rows:
+    def _order_until(self, limit_ns: int) -> Rows:
         """Arrivals named by lines logged before ``limit_ns``, merged with those of sources without lines."""
         rows, following = self._rows, self._lines["log_time_ns"] < limit_ns
         lines = self._lines[following]
-        starts = self._starts(lines)
-        lost = _lost(lines["sequence"], self._followed, [start.line for start in starts])
+        starts = self._find_starts(lines)
+        lost = _count_missing_lines(lines["sequence"], self._last_sequence, [start.line for start in starts])
         self.counts.lost_lines += int(lost[lost > 0].sum())
         self.counts.disordered_lines += int((lost < 0).sum())
-        is_free = ~_changes_nothing(rows)
+        is_free = ~_repeats_parameters(rows)
         is_free[[start.row for start in starts if start.row >= 0]] = False
-        named = _named(rows, lines, is_free)
+        named = _match_free_rows(rows, lines, is_free)
         is_command = np.isin(lines["source"], self._commands)
         missing = (named < 0) & ~is_command
         self.counts.lost_inputs += int(missing.sum())
         missing &= lines["source"] >= 0  # source −1: no input under the parameters of the replay
-        parts = self._runs.follow(lines, missing, lost, {start.line: start.unknown for start in starts})
+        parts = self._runs.assign_parts(lines, missing, lost, {start.line: start.unknown for start in starts})
         if len(lines):
-            self._followed, self._followed_ns = int(lines["sequence"][-1]), int(lines["log_time_ns"][-1])
-        others = np.flatnonzero(is_free & self._is_other(rows, limit_ns))
+            self._last_sequence, self._last_line_ns = (
+                int(lines["sequence"][-1]),
+                int(lines["log_time_ns"][-1]),
+            )
+        others = np.flatnonzero(is_free & self._is_due_by_log_time(rows, limit_ns))
         before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][others])  # the line they precede
         there = np.flatnonzero((named >= 0) | is_command)
-        again = [start for start in starts if start.again]
-        processed = _processed(rows, lines[there], named[there])
+        again = [start for start in starts if start.is_restart]
+        processed = _processed_rows(rows, lines[there], named[there])
         found = np.concatenate((rows[others], _start_rows(rows, lines, again), processed))
         places = np.concatenate((before, [start.line for start in again], there)).astype(np.int64)
         order = np.lexsort((np.repeat((0, 1, 2), (others.size, len(again), there.size)), places))
@@ -147,30 +153,30 @@ class LiveOrder:
         found["part"], self._part = numbers[places], int(numbers[-1])
         left = is_free.copy()
         left[others] = left[named[named >= 0]] = False
-        left |= _changes_nothing(rows) & (rows["log_time_ns"] > self._followed_ns)
-        self._rows = rows[left & ~self._is_past(rows, limit_ns)]
+        left |= _repeats_parameters(rows) & (rows["log_time_ns"] > self._last_line_ns)
+        self._rows = rows[left & ~self._is_too_old(rows, limit_ns)]
         self._lines = self._lines[~following]
         return found[order]
 
-    def _starts(self, lines: Rows) -> list["_Start"]:
+    def _find_starts(self, lines: Rows) -> list["_Start"]:
         """Starts of runs: lines whose number goes back, after new parameters or to number 0.
 
         The first run of all has the parameters of the bag.
         """
         found = []
         reloads = np.flatnonzero(self._rows["kind"] == IS_RELOAD)
-        before = np.append(self._followed, lines["sequence"])[:-1]
+        before = np.append(self._last_sequence, lines["sequence"])[:-1]
         for k in np.flatnonzero(lines["sequence"] <= before).tolist():
-            after_ns = int(lines["log_time_ns"][k - 1]) if k else self._followed_ns
-            is_first = k == 0 and self._followed == _NONE
-            row = self._parameters(reloads, lines[k], after_ns, is_first=is_first)
+            after_ns = int(lines["log_time_ns"][k - 1]) if k else self._last_line_ns
+            is_first = k == 0 and self._last_sequence == _NO_LINE
+            row = self._parameters_row(reloads, lines[k], after_ns, is_first=is_first)
             if row >= 0:
-                found.append(_Start(k, row, self._unknown[self._rows["start"][row]], again=True))
+                found.append(_Start(k, row, self._unknown[self._rows["start"][row]], is_restart=True))
             elif is_first or before[k] > 0 == lines["sequence"][k]:  # lines without numbers start no run
-                found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, again=not is_first))
+                found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, is_restart=not is_first))
         return found
 
-    def _parameters(self, reloads: IntArray, line: np.void, after_ns: int, *, is_first: bool) -> int:
+    def _parameters_row(self, reloads: IntArray, line: np.void, after_ns: int, *, is_first: bool) -> int:
         """Row of the parameters with which the run of this line begins; −1: none."""
         logged_ns, at_ns = self._rows["log_time_ns"], line["log_time_ns"]
         own = reloads[logged_ns[reloads] > after_ns]
@@ -179,24 +185,24 @@ class LiveOrder:
             earlier = earlier[:-1]  # the line itself names the last one
         if earlier.size:
             return int(earlier[-1])
-        later = later[logged_ns[later] <= at_ns + _LATE_NS]
+        later = later[logged_ns[later] <= at_ns + _MAX_PARAMETER_DELAY_NS]
         return int(later[0]) if later.size and not is_first else -1
 
-    def _is_other(self, rows: Rows, limit_ns: int) -> BoolArray:
+    def _is_due_by_log_time(self, rows: Rows, limit_ns: int) -> BoolArray:
         """(n,) whether a row of a source without journal lines is due for merging by log time.
 
         Parameters may belong to a run whose first line is still to come.
         """
         is_due = (
-            (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._followed_ns) | (limit_ns == _END_NS)
+            (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._last_line_ns) | (limit_ns == _END_NS)
         )
         is_unknown = ~np.isin(rows["source"], self._journaled)
         return np.asarray(is_unknown & (rows["log_time_ns"] < limit_ns) & is_due)
 
-    def _is_past(self, rows: Rows, limit_ns: int) -> BoolArray:
+    def _is_too_old(self, rows: Rows, limit_ns: int) -> BoolArray:
         """(n,) whether a row is too old to be named by any later line."""
         oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
-        may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._followed_ns)
+        may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._last_line_ns)
         return np.asarray((rows["log_time_ns"] < oldest_ns) & ~may_begin)
 
 
@@ -206,10 +212,10 @@ class _Start(NamedTuple):
     line: int
     row: int  # row of its parameters; −1: none
     unknown: str  # why the start cannot be repeated; empty if it can
-    again: bool  # whether the estimator has to be created again
+    is_restart: bool  # whether the estimator has to be created again
 
 
-def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
+def _count_missing_lines(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
     """(n,) number of lines missing before each line, by their numbers; ``last``: number of the line before.
 
     ``OUT_OF_ORDER`` where the number goes back and no run starts. Lines without numbers (0) never go back.
@@ -222,7 +228,7 @@ def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
     return lost
 
 
-def _changes_nothing(rows: Rows) -> BoolArray:
+def _repeats_parameters(rows: Rows) -> BoolArray:
     """(n,) whether a row repeats the parameters before it; a run may still begin with such a row."""
     return np.asarray((rows["kind"] == IS_RELOAD) & (rows["reload"] < 0))
 
@@ -237,7 +243,7 @@ def _start_rows(rows: Rows, lines: Rows, starts: Sequence[_Start]) -> Rows:
     return found
 
 
-def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
+def _processed_rows(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     """(n,) ARRIVAL of the lines: the rows that they name; a command where a line names none."""
     found = np.zeros(len(lines), ARRIVAL)
     is_row = named >= 0
@@ -250,20 +256,20 @@ def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     return found
 
 
-def _named(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
+def _match_free_rows(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
     """(n,) row that each line names, among the free ones; −1: none.
 
     Among rows and lines of one source and stamp, the first line names the first row, and so on. The line of a
     manual pose without a stamp has the stamp at which the pose was used.
     """
     if is_free.all():
-        return _named_of(rows, lines)
+        return _match_rows(rows, lines)
     numbers = np.flatnonzero(is_free)
-    found = _named_of(rows[numbers], lines)
+    found = _match_rows(rows[numbers], lines)
     return np.where(found >= 0, np.append(numbers, -1)[found], -1)
 
 
-def _named_of(rows: Rows, lines: Rows) -> IntArray:
+def _match_rows(rows: Rows, lines: Rows) -> IntArray:
     sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
     order = np.lexsort((stamps_ns, sources))  # by key; within a key: rows, then lines, both in order
     sources, stamps_ns = sources[order], stamps_ns[order]

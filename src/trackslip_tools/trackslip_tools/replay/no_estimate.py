@@ -19,19 +19,21 @@ from trackslip_estimation.slip.sources import nonempty_names
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _WAITING = Outcome.WAITING.name.lower()
-_NO_FIXES = ("reference_pose",)  # poses that are no source by default
+_NOT_FIXES = ("reference_pose",)  # poses that are no source by default
 
 
 @dataclass
-class Processed:
+class ProcessingCounts:
     """Inputs and results of the estimator, as counts."""
 
-    given: Counter[str]  # by source
+    input_counts: Counter[str]  # by source
     rejected: Tally
     heading_variance: float | None = None  # rad², of the last estimate; None: no estimate
 
 
-def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, processed: Processed) -> str:
+def explain_missing_estimate(
+    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, processed: ProcessingCounts
+) -> str:
     """The reason in one clause; empty if there is an estimate with a heading."""
     if processed.heading_variance is not None:
         if processed.heading_variance <= UNKNOWN_HEADING**2:
@@ -43,37 +45,37 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
             f"{known}: it is found from fixes along some metres driven, or from a "
             "source with a heading, or initial_yaw with its initial_yaw_stddev"
         )
-    if not processed.given[SPROCKETS]:
+    if not processed.input_counts[SPROCKETS]:
         return "no sprockets between --start and --stop"
-    if _all_refused(processed, [SPROCKETS]):
-        return f"every sample of the sprockets was refused ({_reasons(processed, [SPROCKETS])})"
+    if _are_all_rejected(processed, [SPROCKETS]):
+        return f"every sample of the sprockets was refused ({_rejection_reasons(processed, [SPROCKETS])})"
     if p.start != "first_fix":
         return "no sprocket sample could start it"
     sources = nonempty_names(p.pose_sources)
-    refused = processed.rejected.by_source()  # messages of another frame do not reach the estimator
-    came = [source for source in (*sources, SET_POSE) if processed.given[source] or source in refused]
+    rejected = processed.rejected.by_source()  # messages of another frame do not reach the estimator
+    came = [source for source in (*sources, SET_POSE) if processed.input_counts[source] or source in rejected]
     if not sources:
-        return f"no fix came: pose_sources names none{_elsewhere(bag, filters, sources)}"
+        return f"no fix came: pose_sources names none{_other_pose_topics(bag, filters, sources)}"
     if not came:
         hidden = {edit.topic for edit in filters.withhold} & set(sources)
         why = f"{', '.join(sorted(hidden))} is withheld" if hidden else f"nothing on {', '.join(sources)}"
-        return f"no fix came: {why}{_elsewhere(bag, filters, sources)}"
-    if _all_refused(processed, came):
-        return f"every fix was refused ({_reasons(processed, came)})"
+        return f"no fix came: {why}{_other_pose_topics(bag, filters, sources)}"
+    if _are_all_rejected(processed, came):
+        return f"every fix was refused ({_rejection_reasons(processed, came)})"
     return "no sprockets after the first fix"
 
 
-def _all_refused(processed: Processed, sources: Iterable[str]) -> bool:
+def _are_all_rejected(processed: ProcessingCounts, sources: Iterable[str]) -> bool:
     """Whether all inputs of these sources were rejected; those that waited for a start count as usable."""
     by_source = processed.rejected.by_source()
     for source in sources:
-        refused = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
-        if refused < processed.given[source]:
+        rejected = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
+        if rejected < processed.input_counts[source]:
             return False
     return True
 
 
-def _reasons(processed: Processed, sources: Iterable[str]) -> str:
+def _rejection_reasons(processed: ProcessingCounts, sources: Iterable[str]) -> str:
     by_source = processed.rejected.by_source()
     return "; ".join(
         f"{source}: {', '.join(f'{n} {reason}' for reason, n in by_source.get(source, {}).items())}"
@@ -81,7 +83,7 @@ def _reasons(processed: Processed, sources: Iterable[str]) -> str:
     )
 
 
-def _elsewhere(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
+def _other_pose_topics(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
     """Other topics of the bag that could be a pose source, and the option that names one."""
     pose = TOPICS["box_pose"].type_name
     names = [
@@ -92,5 +94,5 @@ def _elsewhere(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
     others = [name for name in names if name not in (*sources, SET_POSE)]
     if not others:
         return ""
-    first = next((name for name in others if name not in _NO_FIXES), others[0])
+    first = next((name for name in others if name not in _NOT_FIXES), others[0])
     return f"; the bag has {', '.join(others)} (--set slip_estimator.pose_sources=[{first}])"

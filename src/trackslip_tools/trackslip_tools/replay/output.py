@@ -31,18 +31,18 @@ from trackslip_estimation.slip.learned_text import quantity_lines, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.check.bag import finding
-from trackslip_tools.replay.comparison import compared_lines, compared_parts
+from trackslip_tools.check.bag import setup_summary
+from trackslip_tools.replay.comparison import compared_parts, partial_comparison_lines
 from trackslip_tools.replay.inputs import REPORTS
-from trackslip_tools.replay.parts import Begin, Part
+from trackslip_tools.replay.parts import EstimatorStart, Part
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
-from trackslip_tools.replay.troubles import trouble_lines
-from trackslip_tools.terminal_text import wrapped
+from trackslip_tools.replay.troubles import stuck_track_lines
+from trackslip_tools.terminal_text import wrap_line
 
 _MOST_EVENTS = 12  # listed in the text
-_NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
+_PATH_NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
 
 class EstimateWriter:
@@ -56,7 +56,7 @@ class EstimateWriter:
 
     def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
         self._bag, self._p = BagWriter(path), p
-        self._start, self._begun = _started_from(p, learned), False
+        self._start, self._begun = _learned_section(p, learned), False
         self._sequence, self._local = 0, LocalOdometry()
         self._logged_ns: int | None = None
 
@@ -69,12 +69,12 @@ class EstimateWriter:
 
     def add(self, part: Part) -> None:
         """Write the results of a part."""
-        if part.again is not None:
-            self._begin_again(part.again)
+        if part.restart is not None:
+            self._prepare_next_run(part.restart)
         names = map(part.sources.__getitem__, part.arrivals["source"].tolist())
         for record, source in zip(part.results, names, strict=True):
             report, estimate = make_step(record.item(), source)
-            self._begin(report.stamp_ns)
+            self._write_parameters(report.stamp_ns)
             self._logged_ns = report.stamp_ns or self._logged_ns  # commands have no stamp
             message = conversions.measurement_report(make, report, self._sequence)
             self._write(REPORTS, message, self._logged_ns or 0)
@@ -95,7 +95,7 @@ class EstimateWriter:
         for topic, message, stamp_ns in soil_messages(soil):
             self._write(topic, message, stamp_ns)
 
-    def _begin(self, stamp_ns: int) -> None:
+    def _write_parameters(self, stamp_ns: int) -> None:
         """Write the parameters at the first stamp of a run, and the vehicle at that of the first run."""
         if not self._begun and stamp_ns:
             self._begun = True
@@ -106,16 +106,16 @@ class EstimateWriter:
                 vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
                 self._write(VEHICLE, vehicle, stamp_ns)
 
-    def _begin_again(self, start: Begin) -> None:
+    def _prepare_next_run(self, start: EstimatorStart) -> None:
         """Prepare for another run of the estimator."""
-        self._p, self._start = start.parameters, _started_from(start.parameters, start.learned)
+        self._p, self._start = start.parameters, _learned_section(start.parameters, start.learned)
         self._sequence, self._local, self._begun = 0, LocalOdometry(), False
 
     def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
         self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
 
 
-def _started_from(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:
+def _learned_section(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:
     return {} if learned is None else {"learned": to_tree(learned, learned_context(p))}
 
 
@@ -140,7 +140,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     ``elapsed_s``: waiting time of the user.
     """
     rmse: dict[str, Any] = {}
-    for name in _NAMES:
+    for name in _PATH_NAMES:
         found = result.scores.get(name)
         rmse[name] = found.position if found else None
     of_filter = result.scores.get("filter")
@@ -157,7 +157,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "duration_s": result.duration_s,
         "messages": dict(sorted(result.messages.items())),
         "rejected": result.rejected.by_source(),
-        "final": _final(result),
+        "final": _final_values(result),
         "reference": result.reference,
         "rmse": rmse,
         "nees": result.nees,
@@ -171,7 +171,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
                 "source": h.source,
                 "probability": h.probability,
             }
-            for h in result.happened
+            for h in result.accepted_events
         ],
         "real_time_factor": result.duration_s / elapsed_s,
     }
@@ -190,28 +190,28 @@ def text(result: Replay, elapsed_s: float) -> str:
     lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.messages.items())]
     for source, reasons in result.rejected.by_source().items():
         lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
-    final = _final(result)
+    final = _final_values(result)
     if final is None:
         lines.append(f"no estimate: {result.no_estimate}")
     else:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
         if result.no_estimate:
             lines.append(f"no estimate of the heading: {result.no_estimate}")
-    lines += _troubles(result)
+    lines += _stuck_track_lines(result)
     lines += map(str, result.withheld)
     lines += [result.start] if result.start else []
-    lines += _happened(result)
-    lines += _learned(result)
-    lines += _scores(result)
-    lines += _live(result)
+    lines += _event_lines(result)
+    lines += _learned_lines(result)
+    lines += _score_lines(result)
+    lines += _live_lines(result)
     if result.soil is not None:
         lines += soil_lines(result.soil)
-    return "\n".join([finding(result.setup), *map(wrapped, lines)])
+    return "\n".join([setup_summary(result.setup), *map(wrap_line, lines)])
 
 
-def _troubles(result: Replay) -> list[str]:
+def _stuck_track_lines(result: Replay) -> list[str]:
     """Lines on tracks that stalled or got stuck, and on the longest time without fixes."""
-    lines = trouble_lines(result.soil.forces, result.start_ns) if result.soil is not None else []
+    lines = stuck_track_lines(result.soil.forces, result.start_ns) if result.soil is not None else []
     if result.longest_gap is not None:
         begin, end = result.longest_gap
         lines.append(
@@ -220,23 +220,23 @@ def _troubles(result: Replay) -> list[str]:
     return lines
 
 
-def _happened(result: Replay) -> list[str]:
+def _event_lines(result: Replay) -> list[str]:
     """Lines on the events that explain contradictions; single outliers are only counted."""
-    events = [h for h in result.happened if h.event is not Event.OUTLIER]
-    outliers = len(result.happened) - len(events)
+    events = [h for h in result.accepted_events if h.event is not Event.OUTLIER]
+    outliers = len(result.accepted_events) - len(events)
     lines = [f"  {(h.stamp_ns - result.start_ns) * 1e-9:8.1f} s  {h.text}" for h in events[:_MOST_EVENTS]]
     lines += [f"  and {len(events) - _MOST_EVENTS} more"] if len(events) > _MOST_EVENTS else []
     lines += [f"  {outliers} single outliers"] if outliers else []
     return ["events that explain contradictions", *lines] if lines else []
 
 
-def _learned(result: Replay) -> list[str]:
+def _learned_lines(result: Replay) -> list[str]:
     """One line for each observed quantity, and one for all others."""
     lines = quantity_lines(result.learned[-1].findings) if result.learned else []
     return ["learned values of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 
-def _final(result: Replay) -> dict[str, float] | None:
+def _final_values(result: Replay) -> dict[str, float] | None:
     if not len(result.last):
         return None
     last = result.last[0]
@@ -245,11 +245,11 @@ def _final(result: Replay) -> dict[str, float] | None:
     return {"x": x, "y": y, "yaw": yaw, "left_slip": left, "right_slip": right}
 
 
-def _scores(result: Replay) -> list[str]:
+def _score_lines(result: Replay) -> list[str]:
     if result.reference is None:
         return ["no reference in the bag: nothing to score against (--reference TOPIC names one)"]
     lines = [f"{f'RMSE against {result.reference}':<34}{'position m':>12}{'heading rad':>14}"]
-    for name, label in _NAMES.items():
+    for name, label in _PATH_NAMES.items():
         found = result.scores.get(name)
         position = f"{found.position:.4f}" if found else "–"
         heading = f"{found.heading:.4f}" if found and found.heading is not None else "–"
@@ -270,11 +270,11 @@ def _scores(result: Replay) -> list[str]:
     return lines
 
 
-def _live(result: Replay) -> list[str]:
+def _live_lines(result: Replay) -> list[str]:
     live = result.live
     if live is None:
         return []
-    lines = [str(live), *compared_lines(live, result.start_ns)]
+    lines = [str(live), *partial_comparison_lines(live, result.start_ns)]
     if live.lost_inputs:
         lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator processed")
     if live.disordered_reports:

@@ -17,20 +17,20 @@ from trackslip_estimation.slip.measurements import Command
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import RESULT
 from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, IS_START, to_measurements
-from trackslip_tools.replay.inputs import InputStream, Logged
+from trackslip_tools.replay.inputs import InputStream, LoggedMessages
 
-_PIECE = 512  # arrivals between records of the learned quantities: seconds
-_LOOK_NS = 500_000_000  # between records of the explanations
+_PIECE_SIZE = 512  # arrivals between records of the learned quantities: seconds
+_EXPLANATION_PERIOD_NS = 500_000_000  # between records of the explanations
 
 
-class Known(NamedTuple):
+class LearnedValues(NamedTuple):
     """Learned quantities of the machine and its ground at one time."""
 
     stamp_ns: int
     findings: list[LearnedQuantity]
 
 
-class Begin(NamedTuple):
+class EstimatorStart(NamedTuple):
     """Parameters and learned quantities from which an estimator starts."""
 
     parameters: SlipEstimatorParameters
@@ -43,12 +43,10 @@ class Part(NamedTuple):
     sources: tuple[str, ...]
     arrivals: Rows  # (n,) ARRIVAL in live order
     results: Rows  # (n,) RESULT, one for each arrival
-    tables: dict[str, Logged]  # tables of other topics, up to the same log time
-    learned: list[Known]  # learned quantities within the part
-    again: Begin | None = None  # start of the estimator before this part, if it was started again
-    happened: Sequence[
-        AcceptedEvent
-    ] = ()  # events of the most probable branch since the estimator was started
+    tables: dict[str, LoggedMessages]  # tables of other topics, up to the same log time
+    learned: list[LearnedValues]  # learned quantities within the part
+    restart: EstimatorStart | None = None  # start of the estimator before this part, if it was started again
+    accepted_events: Sequence[AcceptedEvent] = ()  # of the most probable branch, since the estimator's start
     explained: Sequence[CompetingExplanations] = ()  # explanations within the part
 
     @property
@@ -61,7 +59,7 @@ class Part(NamedTuple):
 Watch = Callable[[Part], None]
 
 
-def together(*watches: Watch) -> Watch:
+def combine_watches(*watches: Watch) -> Watch:
     """A watch that passes each part to all of these, in their order."""
 
     def watch(part: Part) -> None:
@@ -75,44 +73,44 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
     """The parts of a bag; commands, changes of parameters and restarts act at their place in the order."""
     p = estimator.parameters
     for batch in stream:
-        tables, again, begin = batch.tables, None, 0
+        tables, restart, begin = batch.tables, None, 0
         for end in (*np.flatnonzero(batch.rows["kind"] == IS_START).tolist(), len(batch.rows)):
             rows = batch.rows[begin:end]
             results, learned, explained = _process(stream, estimator, rows)
-            happened = estimator.read_events()
-            yield Part(stream.sources, rows, results, tables, learned, again, happened, explained)
+            events = estimator.read_events()
+            yield Part(stream.sources, rows, results, tables, learned, restart, events, explained)
             if end < len(batch.rows):
-                again = _begin_again(p, stream, int(batch.rows["start"][end]))
-                estimator = SlipEstimator(again.parameters, learned=again.learned)
+                restart = _later_start(p, stream, int(batch.rows["start"][end]))
+                estimator = SlipEstimator(restart.parameters, learned=restart.learned)
                 tables, begin = {}, end + 1
 
 
-def _begin_again(p: SlipEstimatorParameters, stream: InputStream, number: int) -> Begin:
+def _later_start(p: SlipEstimatorParameters, stream: InputStream, number: int) -> EstimatorStart:
     """Start of a later run: its changed parameters over ``p``, and what was learned before it.
 
     ``p``: parameters of the first run, used alone where the bag lacks those of the later (``number`` < 0).
     """
     if number < 0:
-        return Begin(p, None)
+        return EstimatorStart(p, None)
     changed, tree = stream.starts[number]
     p = p.changed(changed)
     try:
-        return Begin(p, None if tree is None else from_tree(tree, learned_context(p)))
+        return EstimatorStart(p, None if tree is None else from_tree(tree, learned_context(p)))
     except InputError:
-        return Begin(p, None)
+        return EstimatorStart(p, None)
 
 
 def _process(
     stream: InputStream, estimator: SlipEstimator, rows: Rows
-) -> tuple[Rows, list[Known], list[CompetingExplanations]]:
+) -> tuple[Rows, list[LearnedValues], list[CompetingExplanations]]:
     """(n,) RESULT of (n,) ARRIVAL of one run, with the learned quantities and explanations in between."""
     results = np.zeros(len(rows), RESULT)
     commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
-    learned: list[Known] = []
+    learned: list[LearnedValues] = []
     explained: list[CompetingExplanations] = []
     begin = 0
-    looks = np.flatnonzero(np.diff(rows["log_time_ns"] // _LOOK_NS)) + 1
-    pieces = {*range(_PIECE, len(rows), _PIECE), len(rows)}
+    looks = np.flatnonzero(np.diff(rows["log_time_ns"] // _EXPLANATION_PERIOD_NS)) + 1
+    pieces = {*range(_PIECE_SIZE, len(rows), _PIECE_SIZE), len(rows)}
     for end in np.unique((*commands, *looks, *pieces)).tolist():
         given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
         results[begin:end] = estimator.process_records(given)
@@ -121,7 +119,7 @@ def _process(
             explained.append(estimator.competing_explanations)
         if estimator.started and end > 0 and (end in pieces or end in commands):
             learned.append(
-                Known(
+                LearnedValues(
                     estimator.newest_ns or 0, learned_quantities(estimator.learned, estimator.learned_context)
                 )
             )

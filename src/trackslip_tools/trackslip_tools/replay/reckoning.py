@@ -20,7 +20,7 @@ class Reckoning:
     def __init__(self, vehicle: Kinematics, *, with_gyro: bool) -> None:
         self._reckoner = DeadReckoner(vehicle, with_gyro=with_gyro)
         self._errors, self._drawn = PathErrors(), GrowingRows(_PATH, MOST_DRAWN)
-        self._unbegun: list[Rows] | None = []  # reference rows until the start
+        self._early_reference: list[Rows] | None = []  # reference rows until the start
 
     @property
     def first_ns(self) -> int | None:
@@ -30,9 +30,9 @@ class Reckoning:
     def add(self, arrivals: Rows, reference: Rows | None) -> None:
         """Add both; rows of the reference have stamp_ns, x, y, heading."""
         self._reckoner.add(arrivals)
-        if self._unbegun is not None:
-            self._unbegun += [] if reference is None else [reference]
-            self._begin(self._unbegun)
+        if self._early_reference is not None:
+            self._early_reference += [] if reference is None else [reference]
+            self._begin(self._early_reference)
         self._extend(self._reckoner.advance(), reference)
 
     def result(self) -> tuple[Path | None, Score | None]:
@@ -52,7 +52,7 @@ class Reckoning:
             start = later[np.argmin(later["stamp_ns"])]
             pose = np.array([start[name] for name in ("x", "y", "heading")])
             self._reckoner.begin(int(start["stamp_ns"]), pose)
-            self._unbegun = None
+            self._early_reference = None
 
     def _extend(self, path: Path | None, reference: Rows | None) -> None:
         nothing = Path(np.empty(0, np.int64), np.empty((0, 3)))

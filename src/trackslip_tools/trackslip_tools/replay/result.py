@@ -37,17 +37,17 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import InputStream
-from trackslip_tools.replay.no_estimate import Processed
-from trackslip_tools.replay.parts import Known, Part
+from trackslip_tools.replay.no_estimate import ProcessingCounts
+from trackslip_tools.replay.parts import LearnedValues, Part
 from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, path_of, path_of_series
-from trackslip_tools.replay.series import Series, SeriesCollector, in_order, reduced
+from trackslip_tools.replay.series import Series, SeriesCollector, reduce_columns, sort_by_stamp
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.tilt import SwingErrors, TiltErrors
 from trackslip_tools.replay.troubles import FixGaps
-from trackslip_tools.replay.withheld import Withheld, WithheldErrors
+from trackslip_tools.replay.withheld import WithheldErrors, WithholdResult
 
-KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
+KEPT_ESTIMATE = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
 
 
 @dataclass
@@ -57,9 +57,9 @@ class Replay:
     duration_s: float
     elapsed_s: float
     messages: Counter[str]  # topic → number of messages read
-    estimates: Rows  # (n,) KEPT of the published estimates
+    estimates: Rows  # (n,) KEPT_ESTIMATE of the published estimates
     rejected: Tally
-    last: Rows = field(default_factory=lambda: np.empty(0, KEPT))  # (1,), or (0,) without an estimate
+    last: Rows = field(default_factory=lambda: np.empty(0, KEPT_ESTIMATE))  # (1,); (0,) without an estimate
     reference: str | None = None
     series: dict[str, Series] = field(default_factory=dict)  # of truth and reference
     scores: dict[str, Score | None] = field(default_factory=dict)
@@ -74,9 +74,9 @@ class Replay:
     soil: SoilReplay | None = None  # if the bag has hydraulics
     no_estimate: str = ""  # why there is no estimate, or none with a heading
     vehicle: str = ""  # its name
-    learned: list[Known] = field(default_factory=list)  # course of the learned quantities
-    happened: list[AcceptedEvent] = field(default_factory=list)  # events that explain contradictions
-    withheld: list[Withheld] = field(default_factory=list)
+    learned: list[LearnedValues] = field(default_factory=list)  # course of the learned quantities
+    accepted_events: list[AcceptedEvent] = field(default_factory=list)  # events that explain contradictions
+    withheld: list[WithholdResult] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
     start: str = ""  # line on what was learned before the bag; empty: nothing
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
@@ -102,8 +102,11 @@ class Collector:
         self._stream, self._reference = stream, reference
         self.withheld = withheld
         self._scored = scored_topics(reference)
-        self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
-        self._last, self._rejected = np.empty(0, KEPT), stream.refused
+        self._estimates, self._series = (
+            GrowingRows(KEPT_ESTIMATE, MOST_DRAWN),
+            SeriesCollector(most=MOST_DRAWN),
+        )
+        self._last, self._rejected = np.empty(0, KEPT_ESTIMATE), stream.rejected
         self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
         self._swing = SwingErrors()
         self._reckonings = {
@@ -111,28 +114,28 @@ class Collector:
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
         }
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
-        self.processed = Processed(Counter(), self._rejected)
-        self._learned: list[Known] = []
+        self.processed = ProcessingCounts(Counter(), self._rejected)
+        self._learned: list[LearnedValues] = []
         self._gaps, self._newest_ns = FixGaps(), 0
-        self._before: list[AcceptedEvent] = []  # of ended runs
-        self._happened: list[AcceptedEvent] = []
+        self._earlier_events: list[AcceptedEvent] = []  # of ended runs
+        self._accepted_events: list[AcceptedEvent] = []
 
     def add(self, part: Part) -> None:
         """Add a part."""
         estimates = part.estimates
-        self._keep(estimates)
+        self._keep_estimates(estimates)
         self._learned += part.learned
         self._gaps.add(part.arrivals, part.results)
         if len(estimates):
             self._newest_ns = max(self._newest_ns, int(estimates["stamp_ns"].max()))
-        if part.again is not None:
-            self._before, self._happened = self._before + self._happened, []
-        self._happened = list(part.happened)
+        if part.restart is not None:
+            self._earlier_events, self._accepted_events = self._earlier_events + self._accepted_events, []
+        self._accepted_events = list(part.accepted_events)
         for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
-            self.processed.given[part.sources[source]] += count
-        for name, outcome, n in _refused(part, "outcome"):
+            self.processed.input_counts[part.sources[source]] += count
+        for name, outcome, n in _count_rejections(part, "outcome"):
             self._rejected.add(name, Outcome(outcome), n)
-        for name, refusal, n in _refused(part, "attitude"):
+        for name, refusal, n in _count_rejections(part, "attitude"):
             self._rejected.add(name, AttitudeRejection(refusal), n)
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
         for topic, rows in tables.items():
@@ -142,13 +145,13 @@ class Collector:
         self._swing.add(estimates, tables.get(TRUE_SWING))
         if self._reference is not None:
             known = tables.get(self._reference)
-            reference = None if known is None else reduced(known, detailed=True)
+            reference = None if known is None else reduce_columns(known, detailed=True)
             self._errors.add_estimates(estimates, reference)
             self.withheld.add(estimates, part.tables.get(self._reference))
             for reckoning in self._reckonings.values():
                 reckoning.add(part.arrivals, reference)
         if self._compares:
-            self._compare(part)
+            self._compare_with_live(part)
 
     def result(self) -> Replay:
         """All results but those of soil, setup and withheld topics; called after the last part."""
@@ -157,32 +160,32 @@ class Collector:
             stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
         )
         found.start_ns = stream.start_ns
-        found.longest_gap = self._gaps.longest(self._newest_ns, stream.start_ns)
+        found.longest_gap = self._gaps.longest_gap(self._newest_ns, stream.start_ns)
         found.reference, found.series = self._reference, self._series.series()
         found.slip_rmse = self._slips.rmse
         found.swing_rmse = self._swing.rmse
         found.attitude_rmse, found.height_rmse = self._tilt.attitude, self._tilt.height
         if len(found.estimates):
-            found.paths["filter"] = path_of(in_order(found.estimates))
+            found.paths["filter"] = path_of(sort_by_stamp(found.estimates))
         if self._reference is not None and self._reference in found.series:
-            self._score(found, self._reference)
-        found.learned, found.happened = self._learned, self._before + self._happened
+            self._add_scores(found, self._reference)
+        found.learned, found.accepted_events = self._learned, self._earlier_events + self._accepted_events
         if self._compares and stream.messages[ODOMETRY]:
             found.live = self._comparer.result(stream.counts)
         return found
 
-    def _keep(self, estimates: Rows) -> None:
+    def _keep_estimates(self, estimates: Rows) -> None:
         if len(estimates):
             self._estimates.add(estimates)
-            self._last = np.empty(1, KEPT)
-            for name in KEPT.names or ():
+            self._last = np.empty(1, KEPT_ESTIMATE)
+            for name in KEPT_ESTIMATE.names or ():
                 self._last[name] = estimates[name][-1]
             self.processed.heading_variance = float(estimates["pose_covariance"][-1, 2, 2])
 
-    def _score(self, found: Replay, reference: str) -> None:
+    def _add_scores(self, found: Replay, reference: str) -> None:
         """Add the paths of reference and dead reckoning, and the errors of all against the reference."""
         first_ns = next((r.first_ns for r in self._reckonings.values()), None)
-        found.paths["reference"] = path_of_series(found.series[reference].since(first_ns or 0))
+        found.paths["reference"] = path_of_series(found.series[reference].rows_since(first_ns or 0))
         found.scores["filter"] = self._errors.score
         found.nees, found.nees_position = self._errors.nees, self._errors.nees_position
         for name, reckoning in self._reckonings.items():
@@ -190,14 +193,14 @@ class Collector:
             if path is not None:
                 found.paths[name] = path
 
-    def _compare(self, part: Part) -> None:
+    def _compare_with_live(self, part: Part) -> None:
         """Compare every live number with the replayed one of the same stamp."""
         nothing, topics = np.empty(0, ESTIMATE), {ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP} & self._stream.topics
         tables, estimates = part.tables, part.estimates
         live = {topic: tables[topic].rows if topic in tables else nothing for topic in topics}
         numbers = part.arrivals["part"][part.results["published"]]
         parts = self._stream.counts.parts
-        if part.again is not None:
+        if part.restart is not None:
             self._local = LocalOdometry()
         if ODOMETRY in live:
             self._comparer.add(ODOMETRY, live[ODOMETRY], odometry_rows(estimates, estimates), numbers, parts)
@@ -209,10 +212,10 @@ class Collector:
             self._comparer.add(TRACK_SLIP, live[TRACK_SLIP], slip_rows(estimates), numbers, parts)
 
 
-def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
+def _count_rejections(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
     """Source, reason and count of the results whose ``field_`` is not 0."""
-    refused = part.results[field_] != 0
-    pairs = np.column_stack((part.arrivals["source"][refused], part.results[field_][refused]))
+    rejected = part.results[field_] != 0
+    pairs = np.column_stack((part.arrivals["source"][rejected], part.results[field_][rejected]))
     for (source, reason), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
         yield part.sources[source], int(reason), int(count)
 

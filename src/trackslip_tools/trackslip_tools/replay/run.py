@@ -18,9 +18,9 @@ from trackslip_estimation.slip.learned import Learned, from_tree, learned_contex
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
-from trackslip_tools.check.bag import result_of
+from trackslip_tools.check.bag import check_collected
 from trackslip_tools.replay.inputs import InputStream
-from trackslip_tools.replay.no_estimate import why_no_estimate
+from trackslip_tools.replay.no_estimate import explain_missing_estimate
 from trackslip_tools.replay.parts import Watch, run_estimator
 from trackslip_tools.replay.result import Collector, Replay, scored_topics
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilRun
@@ -43,7 +43,7 @@ def replay(
         InputError: the bag lacks a required topic, or is damaged.
     """
     began = time.monotonic()
-    reference = reference or own_reference(bag)
+    reference = reference or default_reference(bag)
     of_both = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, scored_topics(reference).union(of_both))
     withheld = WithheldErrors(filters, bag.start_ns)
@@ -55,7 +55,7 @@ def replay(
         if of_soil is not None and HYDRAULICS in stream.topics
         else None
     )
-    learned, start = learned_before(bag, p)
+    learned, start = learned_before_bag(bag, p)
     setup = SetupCollector(p)
     for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
         collector.add(part)
@@ -65,9 +65,9 @@ def replay(
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
         watch(part)
     result = collector.result()
-    result.no_estimate = why_no_estimate(bag, p, filters, collector.processed)
+    result.no_estimate = explain_missing_estimate(bag, p, filters, collector.processed)
     result.start = start
-    result.setup = result_of(setup)
+    result.setup = check_collected(setup)
     of_soil_alone = soil.hidden if soil is not None else [0] * len(stream.hidden)
     result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, of_soil_alone, strict=True)])
     if soil is not None and stream.messages[HYDRAULICS]:
@@ -77,12 +77,12 @@ def replay(
     return result
 
 
-def own_reference(bag: Bag) -> str | None:
+def default_reference(bag: Bag) -> str | None:
     """The default reference topic that the bag has; None without one."""
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
 
 
-def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None, str]:
+def learned_before_bag(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None, str]:
     """What was learned before the bag, None if the bag lacks it for these parameters; a line for the user.
 
     Raises:

@@ -20,8 +20,8 @@ from trackslip_common.orientations import wrap_angles
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.series import Series
 
-MOVING = 0.05  # m/s of the faster track's frame, and of the track itself, below which slip is not scored
-_SINGULAR = 1e-12  # eigenvalue of correlations below which S counts as singular, because of rounding
+MIN_MOVING_SPEED = 0.05  # m/s of the faster track's frame, and of the track; below, slip is not scored
+_SINGULAR_EIGENVALUE = 1e-12  # of correlations; below, S counts as singular, because of rounding
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def nees_of_each(
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
-    inside = _inside(path, reference)
+    inside = _is_covered(path, reference)
     S = covariances[np.searchsorted(midpoints, reference.stamps_ns[inside]), :size, :size]
     if reference.covariances is not None:
         S = S + usable_covariances(reference.covariances[inside, :size, :size])
@@ -90,7 +90,7 @@ def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     one = np.eye(S.shape[-1])
     C = np.where(regular[:, np.newaxis, np.newaxis], S, one)
     C = C / deviations[:, :, np.newaxis] / deviations[:, np.newaxis, :]
-    regular &= np.linalg.eigvalsh(C)[:, 0] > _SINGULAR
+    regular &= np.linalg.eigvalsh(C)[:, 0] > _SINGULAR_EIGENVALUE
     C = np.where(regular[:, np.newaxis, np.newaxis], C, one)
     return np.where(regular[:, np.newaxis], deviations, 1.0), C, regular
 
@@ -113,10 +113,10 @@ def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
     """
     _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
     v_x, turning = odometry["v_x"][of], odometry["yaw_rate"][of] * tread / 2.0
-    moving = np.abs(v_x) + np.abs(turning) > MOVING
+    moving = np.abs(v_x) + np.abs(turning) > MIN_MOVING_SPEED
     rows = slips.rows[at[moving]]
     for side, ground in (("left_slip", v_x - turning), ("right_slip", v_x + turning)):
-        runs = np.abs(ground[moving]) > MOVING * np.abs(1.0 - rows[side])
+        runs = np.abs(ground[moving]) > MIN_MOVING_SPEED * np.abs(1.0 - rows[side])
         rows[side][~runs] = np.nan
     return Series(rows)
 
@@ -136,7 +136,7 @@ def slip_errors(estimated: Series, true: Series) -> FloatArray:
     return known
 
 
-def _inside(path: Path, reference: Path) -> BoolArray:
+def _is_covered(path: Path, reference: Path) -> BoolArray:
     inside: BoolArray = (reference.stamps_ns >= path.stamps_ns[0]) & (
         reference.stamps_ns <= path.stamps_ns[-1]
     )
@@ -145,9 +145,9 @@ def _inside(path: Path, reference: Path) -> BoolArray:
 
 def errors_of(path: Path, reference: Path) -> FloatArray:
     """(k, 3) errors at the samples of the reference that the path covers, heading in (−π, π]."""
-    inside = _inside(path, reference)
+    inside = _is_covered(path, reference)
     stamps_ns = reference.stamps_ns[inside]
-    errors: FloatArray = path.at(stamps_ns) - reference.poses[inside]
+    errors: FloatArray = path.poses_at(stamps_ns) - reference.poses[inside]
     errors[:, 2] = wrap_angles(errors[:, 2])
     return errors
 

@@ -40,7 +40,7 @@ class Series:
         """(n, k) array of the named columns."""
         return np.column_stack([self.rows[name] for name in names]).astype(np.float64, copy=False)
 
-    def since(self, start_ns: int) -> "Series":
+    def rows_since(self, start_ns: int) -> "Series":
         """The rows at or after a stamp."""
         return Series(self.rows[np.searchsorted(self.stamps_ns, start_ns) :])
 
@@ -66,15 +66,15 @@ class SeriesCollector:
 
     def add(self, topic: str, rows: Rows) -> None:
         """Add rows of a topic, records of a class of ``message_fields``."""
-        found = reduced(rows, detailed=topic in self._detailed)
+        found = reduce_columns(rows, detailed=topic in self._detailed)
         self._parts.setdefault(topic, GrowingRows(found.dtype, self._most)).add(found)
 
     def series(self) -> dict[str, Series]:
         """Topic → series by stamp; of several rows with one stamp the last."""
-        return {topic: Series(in_order(self._parts.pop(topic).rows())) for topic in list(self._parts)}
+        return {topic: Series(sort_by_stamp(self._parts.pop(topic).rows())) for topic in list(self._parts)}
 
 
-def in_order(rows: Rows) -> Rows:
+def sort_by_stamp(rows: Rows) -> Rows:
     """(n,) rows by stamp; of several with one stamp, as before and after a restart, the last."""
     stamps_ns = rows["stamp_ns"]
     if (np.diff(stamps_ns) > 0).all():
@@ -83,7 +83,7 @@ def in_order(rows: Rows) -> Rows:
     return rows[::-1][from_the_end]
 
 
-def reduced(rows: Rows, *, detailed: bool = False) -> Rows:
+def reduce_columns(rows: Rows, *, detailed: bool = False) -> Rows:
     """The columns needed for scoring, so that 8 h of 100 Hz fit into memory."""
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:

@@ -20,20 +20,20 @@ from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.series import Series, SeriesCollector
 
 
-class SettledInputs(NamedTuple):
+class SortedInputs(NamedTuple):
     """Measurements and series of a bag; commands at run time (restart, hold still) are left out."""
 
     measurements: Rows  # (n,) MEASUREMENT by stamp
     series: dict[str, Series]  # by topic
 
 
-def read_settled(
+def read_sorted_inputs(
     bag: Bag,
     p: SlipEstimatorParameters,
     filters: InputFilters,
     series: tuple[str, ...],
     detailed: frozenset[str] = frozenset(),
-) -> SettledInputs:
+) -> SortedInputs:
     """All measurements after the filters, and the series of the topics; ``detailed`` ones with covariances.
 
     Raises:
@@ -41,7 +41,7 @@ def read_settled(
     """
     stream, numbers = InputStream(bag, p, filters, series), SlipEstimator(p).sources
     collector, found = SeriesCollector(detailed), GrowingRows(MEASUREMENT)
-    clock = _Clock(bag, p.history_window)
+    clock = _ClockCheck(bag, p.history_window)
     for batch in stream:
         clock.check(batch.rows)
         measured = batch.rows[batch.rows["kind"] < IS_COMMAND]
@@ -50,10 +50,10 @@ def read_settled(
             collector.add(topic, logged.rows)
     measurements = found.rows()
     _reorder(measurements, stamp_order(measurements))
-    return SettledInputs(measurements, collector.series())
+    return SortedInputs(measurements, collector.series())
 
 
-class _Clock:
+class _ClockCheck:
     """Rejects a bag whose clock was set back: stamps then occur twice and cannot be told apart."""
 
     def __init__(self, bag: Bag, window_s: float) -> None:

@@ -30,7 +30,7 @@ from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, 
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.comparable import Comparability
 from trackslip_tools.replay.growing import GrowingRows
-from trackslip_tools.replay.inputs import Logged
+from trackslip_tools.replay.inputs import LoggedMessages
 from trackslip_tools.replay.series import Series, SeriesCollector
 
 SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # read by a replay
@@ -89,24 +89,24 @@ class SoilRun:
         self._seeds: list[SlipSeed] = []
         self._series, self._classes = SeriesCollector(), dict[int, FloatArray]()
 
-    def add(self, estimates: Rows, logged_ns: IntArray, tables: dict[str, Logged]) -> None:
+    def add(self, estimates: Rows, logged_ns: IntArray, tables: dict[str, LoggedMessages]) -> None:
         """Add (n,) ESTIMATE, the log times of their sprocket samples, and tables of the bag.
 
         Readings in a later piece were logged after the estimates of this one.
         """
         for topic, logged in tables.items():
             if topic == HYDRAULICS:
-                self._wait(logged)
+                self._queue_readings(logged)
             elif topic in SOIL_TOPICS:
                 self._series.add(topic, logged.rows)
             if topic == SOIL:
-                self._classes |= _classes(logged.table)
+                self._classes |= _class_probabilities(logged.table)
         if len(estimates):
             self._advance(estimates, logged_ns)
 
     def result(self, comparability: Comparability) -> SoilReplay:
         """Outputs of the whole bag; compared with live ones only where the slips can be compared."""
-        self._feed(self._waiting)
+        self._process_inputs(self._waiting)
         found = SoilReplay(
             self._estimator.parameters,
             self._forces.rows(),
@@ -116,12 +116,12 @@ class SoilRun:
             self._series.series(),
             self._classes,
         )
-        compares, until_ns = comparability.from_the_beginning()
+        compares, until_ns = comparability.comparable_start()
         if found.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs and compares:
-            found.live = _compare(found, _END_NS if until_ns is None else until_ns)
+            found.live = _compare_with_live(found, _END_NS if until_ns is None else until_ns)
         return found
 
-    def _wait(self, logged: Logged) -> None:
+    def _queue_readings(self, logged: LoggedMessages) -> None:
         """Queue the readings of hydraulics that are not withheld."""
         t = np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)
         hidden = np.zeros(len(logged.rows), np.bool_)
@@ -141,9 +141,9 @@ class SoilRun:
         ready = int(np.searchsorted(before, len(estimates)))
         given = np.insert(inputs_from_estimates(estimates), before[:ready], self._waiting[:ready])
         self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
-        self._feed(given)
+        self._process_inputs(given)
 
-    def _feed(self, given: Rows) -> None:
+    def _process_inputs(self, given: Rows) -> None:
         for outputs in self._estimator.advance_all(given):
             self._forces.add(outputs.forces)
             self._states += outputs.states
@@ -159,13 +159,13 @@ def _reading_inputs(rows: Rows) -> Rows:
     return found
 
 
-def _classes(table: TopicTable) -> dict[int, FloatArray]:
+def _class_probabilities(table: TopicTable) -> dict[int, FloatArray]:
     messages = map(table.message, range(len(table)))
     stamps_ns = table.rows(SoilFields)["stamp_ns"].tolist()
     return {t: np.asarray(m.class_probabilities) for t, m in zip(stamps_ns, messages, strict=True)}
 
 
-def _compare(result: SoilReplay, until_ns: int) -> SoilComparison:
+def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
     """Compare every live number with the replayed one; per topic, between first and last common stamps."""
     compared = unmatched = 0
     largest = 0.0
@@ -175,17 +175,17 @@ def _compare(result: SoilReplay, until_ns: int) -> SoilComparison:
             continue
         first = max(live.stamps_ns[0], own["stamp_ns"][0])
         last = min(live.stamps_ns[-1], own["stamp_ns"][-1], until_ns)
-        theirs, mine = (_between(rows, first, last) for rows in (live.rows, own))
+        theirs, mine = (_rows_between_stamps(rows, first, last) for rows in (live.rows, own))
         _, in_theirs, in_mine = np.intersect1d(theirs["stamp_ns"], mine["stamp_ns"], return_indices=True)
         unmatched += len(theirs) + len(mine) - 2 * len(in_mine)
         compared += len(theirs)
         for name in own.dtype.names or ():
-            largest = max(largest, _difference(theirs[name][in_theirs], mine[name][in_mine]))
+            largest = max(largest, _relative_difference(theirs[name][in_theirs], mine[name][in_mine]))
     own_classes = {
         s.stamp_ns: np.array(list(s.classes.values())) for s in result.states if s.stamp_ns <= until_ns
     }
     for stamp_ns in own_classes.keys() & result.live_classes.keys():
-        largest = max(largest, _difference(result.live_classes[stamp_ns], own_classes[stamp_ns]))
+        largest = max(largest, _relative_difference(result.live_classes[stamp_ns], own_classes[stamp_ns]))
     return SoilComparison(compared, unmatched, largest)
 
 
@@ -204,11 +204,11 @@ def _soil_rows(result: SoilReplay) -> Rows:
     return np.array([tuple(read(SoilFields, m)) for m in messages], dtype=dtype_of(SoilFields))
 
 
-def _between(rows: Rows, first_ns: int, last_ns: int) -> Rows:
+def _rows_between_stamps(rows: Rows, first_ns: int, last_ns: int) -> Rows:
     return rows[(first_ns <= rows["stamp_ns"]) & (rows["stamp_ns"] <= last_ns)]
 
 
-def _difference(a: FloatArray, b: FloatArray) -> float:
+def _relative_difference(a: FloatArray, b: FloatArray) -> float:
     """Largest relative difference; 0 of empty arrays, infinite where shapes or nans differ."""
     a, b = a.astype(np.float64), b.astype(np.float64)
     if a.shape != b.shape or (np.isnan(a) != np.isnan(b)).any():

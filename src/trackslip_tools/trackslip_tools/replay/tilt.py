@@ -8,14 +8,14 @@ import numpy as np
 
 from trackslip_common.arrays import Rows
 from trackslip_common.orientations import tilts_of, wrap_angles
-from trackslip_tools.replay.errors import Pairs
+from trackslip_tools.replay.errors import TruthPairing
 
 
 class TiltErrors:
     """Errors of tilt against true odometry that is logged with the estimates; both come in pieces."""
 
     def __init__(self) -> None:
-        self._pairs = Pairs()
+        self._pairs = TruthPairing()
         self._tilt = self._height = 0.0  # sums of squares
         self._count = 0
 
@@ -54,7 +54,7 @@ class SwingErrors:
     """Errors of the swing angle against a true one that is logged with the estimates; both in pieces."""
 
     def __init__(self) -> None:
-        self._pairs = Pairs()
+        self._pairs = TruthPairing()
         self._sum, self._count = 0.0, 0
 
     def add(self, estimates: Rows, truth: Rows | None) -> None:

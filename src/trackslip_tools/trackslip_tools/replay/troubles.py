@@ -8,29 +8,31 @@ from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import POSE
 from trackslip_estimation.soil.stall import TrackCondition
-from trackslip_tools.report.spells import Spell, spells
+from trackslip_tools.report.spells import StateInterval, state_intervals
 
 SIDES = ("left", "right")
-WORDS = {TrackCondition.STALLED: "stalled", TrackCondition.STUCK: "getting stuck"}
+TROUBLE_TEXTS = {TrackCondition.STALLED: "stalled", TrackCondition.STUCK: "getting stuck"}
 _LEAST_S = 0.5  # shortest listed trouble, s
 
 
-def trouble_spells(times: FloatArray, forces: Rows) -> dict[str, list[Spell]]:
-    """Side → spells of ``TrackCondition`` of its track; ``times`` (n,) of the forces, s."""
+def stuck_track_intervals(times: FloatArray, forces: Rows) -> dict[str, list[StateInterval]]:
+    """Side → intervals in which its track was stalled or stuck; ``times`` (n,) of the forces, s."""
     return {
         side: [
-            spell for spell in spells(times, forces["trouble"][:, k]) if spell.state != TrackCondition.NONE
+            interval
+            for interval in state_intervals(times, forces["trouble"][:, k])
+            if interval.state != TrackCondition.NONE
         ]
         for k, side in enumerate(SIDES)
     }
 
 
-def trouble_lines(forces: Rows, start_ns: int) -> list[str]:
-    """A line for each spell in which a track stalled or got stuck, in s from the bag's first message."""
+def stuck_track_lines(forces: Rows, start_ns: int) -> list[str]:
+    """A line for each interval in which a track stalled or got stuck, in s from the bag's first message."""
     return [
-        f"{side} track {WORDS[TrackCondition(state)]} for {stop - start:.1f} s, "
+        f"{side} track {TROUBLE_TEXTS[TrackCondition(state)]} for {stop - start:.1f} s, "
         f"from {start:.1f} to {stop:.1f} s"
-        for side, own in trouble_spells((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
+        for side, own in stuck_track_intervals((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
         for start, stop, state, _ in own
         if stop - start >= _LEAST_S
     ]
@@ -48,18 +50,18 @@ class FixGaps:
         accepted = (arrivals["kind"] == POSE) & (results["outcome"] == Outcome.ACCEPTED)
         stamps = np.sort(arrivals["stamp_ns"][accepted]).tolist()
         for stamp_ns in stamps:
-            self._end(stamp_ns)
+            self._end_gap(stamp_ns)
             self._last_ns = max(stamp_ns, self._last_ns or stamp_ns)
 
-    def longest(self, stop_ns: int, start_ns: int) -> tuple[float, float] | None:
+    def longest_gap(self, stop_ns: int, start_ns: int) -> tuple[float, float] | None:
         """Begin and end of the longest gap, s from ``start_ns``; it may end at ``stop_ns``. None: no fix."""
         if self._last_ns is None:
             return None
-        self._end(stop_ns)
+        self._end_gap(stop_ns)
         begin, end = self._longest_ns
         return (begin - start_ns) * 1e-9, (end - start_ns) * 1e-9
 
-    def _end(self, stamp_ns: int) -> None:
+    def _end_gap(self, stamp_ns: int) -> None:
         begin, end = self._longest_ns
         if self._last_ns is not None and stamp_ns - self._last_ns > end - begin:
             self._longest_ns = self._last_ns, stamp_ns

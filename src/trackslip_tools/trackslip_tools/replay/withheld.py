@@ -11,25 +11,25 @@ import numpy as np
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_common.arrays import FloatArray, Rows
 from trackslip_tools.replay.errors import PathErrors
-from trackslip_tools.replay.inputs import Logged
+from trackslip_tools.replay.inputs import LoggedMessages
 from trackslip_tools.replay.scoring import Score
-from trackslip_tools.replay.series import reduced
+from trackslip_tools.replay.series import reduce_columns
 
 
 @dataclass(frozen=True)
-class Withheld:
+class WithholdResult:
     """Messages withheld by one ``--withhold``, and position errors; None without compared samples."""
 
-    given: Withhold
+    withhold: Withhold
     messages: int
     score: Score | None  # over the withheld time
     end: float | None  # m, at the last sample of the reference in the withheld time
 
     def __str__(self) -> str:
         """A line for the terminal."""
-        start, stop = self.given.start_s, self.given.stop_s
+        start, stop = self.withhold.start_s, self.withhold.stop_s
         when = f" from {start:g} to {stop:g} s" if np.isfinite(start) else ""
-        line = f"withheld: {self.messages} messages of {self.given.topic}{when}"
+        line = f"withheld: {self.messages} messages of {self.withhold.topic}{when}"
         if self.score is None or self.end is None:
             return line
         return (
@@ -39,30 +39,32 @@ class Withheld:
     def as_dict(self) -> dict[str, Any]:
         """The entry of ``--json``."""
         rmse = None if self.score is None else self.score.position
-        return {"topic": self.given.topic, "messages": self.messages, "rmse": rmse, "end": self.end}
+        return {"topic": self.withhold.topic, "messages": self.messages, "rmse": rmse, "end": self.end}
 
 
 class WithheldErrors:
     """Collects the errors during a replay; ``start_ns``: log time of the bag's first message."""
 
     def __init__(self, filters: InputFilters, start_ns: int) -> None:
-        self._given, self._start_ns = filters.withhold, start_ns
-        self._errors = [PathErrors() for _ in self._given]
+        self._withholds, self._start_ns = filters.withhold, start_ns
+        self._errors = [PathErrors() for _ in self._withholds]
 
-    def add(self, estimates: Rows, reference: Logged | None) -> None:
+    def add(self, estimates: Rows, reference: LoggedMessages | None) -> None:
         """Add (n,) ESTIMATE and rows of the reference."""
-        for given, errors in zip(self._given, self._errors, strict=True):
+        for given, errors in zip(self._withholds, self._errors, strict=True):
             inside = (
-                None if reference is None else reduced(reference.rows[given.covers(self._times(reference))])
+                None
+                if reference is None
+                else reduce_columns(reference.rows[given.covers(self._times(reference))])
             )
             errors.add_estimates(estimates, inside)
 
-    def result(self, counts: Sequence[int]) -> list[Withheld]:
+    def result(self, counts: Sequence[int]) -> list[WithholdResult]:
         """Results after the last part; ``counts``: messages hidden by each ``--withhold``."""
         return [
-            Withheld(given, count, errors.score, errors.last_position)
-            for given, errors, count in zip(self._given, self._errors, counts, strict=True)
+            WithholdResult(given, count, errors.score, errors.last_position)
+            for given, errors, count in zip(self._withholds, self._errors, counts, strict=True)
         ]
 
-    def _times(self, logged: Logged) -> FloatArray:
+    def _times(self, logged: LoggedMessages) -> FloatArray:
         return np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)

@@ -69,7 +69,7 @@ class Details:
         if len(estimates) and len(self._recent) and self._recent["stamp_ns"][-1] >= estimates["stamp_ns"][0]:
             self._recent = self._recent[:0]  # clock went back
         known = np.concatenate((self._recent, estimates))
-        _expect(fixes, known, len(self._recent) + published[is_pose])
+        _fill_expected_poses(fixes, known, len(self._recent) + published[is_pose])
         self._fixes.add(fixes)
         if len(known):
             oldest_ns = known["stamp_ns"][-1] - _RECENT_NS
@@ -97,7 +97,7 @@ class Details:
         return self._fixes.rows()
 
 
-def _expect(fixes: Rows, estimates: Rows, published: IntArray) -> None:
+def _fill_expected_poses(fixes: Rows, estimates: Rows, published: IntArray) -> None:
     """Fill in the expected poses of (n,) FIX, each from the first ``published`` (n,) estimates."""
     before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
     before = np.minimum(before, published) - 1

@@ -8,41 +8,45 @@ import numpy as np
 
 from trackslip_common.topics import SOIL
 from trackslip_tools.report.numbers import Numbers
-from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, colour_in, title_in
-from trackslip_tools.report.quantities import PERCENT, SHAPES, Shape, Shown
-from trackslip_tools.report.run import Run, recordings
+from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, curve_colour, plot_title
+from trackslip_tools.report.quantities import FIELD_PANELS, PERCENT, FieldCurve, FieldPanel
+from trackslip_tools.report.run import Run, first_runs_of_bags
 
 
 def ground_panels(runs: Sequence[Run]) -> list[Panel]:
     """The panels for which there are numbers."""
     panels = []
-    for shape in SHAPES:
+    for shape in FIELD_PANELS:
         curves = [*_curves(runs, shape)]
         if curves:
-            panels.append(Panel(shape.title, shape.axis, [*_truths(runs, shape), *curves], limits=(0.0,)))
+            panels.append(
+                Panel(shape.title, shape.axis, [*_true_curves(runs, shape), *curves], limits=(0.0,))
+            )
     return [*panels, *_class_panels(runs)]
 
 
-def _curves(runs: Sequence[Run], shape: Shape) -> Iterator[Curve]:
+def _curves(runs: Sequence[Run], shape: FieldPanel) -> Iterator[Curve]:
     for run in (run for run in runs if shape.topic in run.numbers):
         for shown in shape.fields:
             label = shown.label if len(runs) == 1 else f"{run.label}, {shown.label}"
-            colour = colour_in(runs, run, shown.colour)
+            colour = curve_colour(runs, run, shown.colour)
             form = shown.form if len(runs) > 1 else Form.LINE
             yield _curve(run.numbers[shape.topic], shown, shape.scale, label, colour, form)
 
 
-def _curve(numbers: Numbers, shown: Shown, scale: float, label: str, colour: str, form: Form) -> Curve:
-    values, band = shown.of({name: numbers.rows[name] for name in numbers.rows.dtype.names or ()}, scale)
+def _curve(numbers: Numbers, shown: FieldCurve, scale: float, label: str, colour: str, form: Form) -> Curve:
+    values, band = shown.values_with_band(
+        {name: numbers.rows[name] for name in numbers.rows.dtype.names or ()}, scale
+    )
     return Curve(label, colour, numbers.times, values, form, band)
 
 
-def _truths(runs: Sequence[Run], shape: Shape) -> Iterator[Curve]:
+def _true_curves(runs: Sequence[Run], shape: FieldPanel) -> Iterator[Curve]:
     """The true curve of each bag."""
-    bags = [run for run in recordings(runs) if shape.truth in run.numbers]
+    bags = [run for run in first_runs_of_bags(runs) if shape.truth in run.numbers]
     for run in bags:
         numbers = run.numbers[shape.truth]
-        colour = INK if len(bags) == 1 else colour_in(runs, run, INK)
+        colour = INK if len(bags) == 1 else curve_colour(runs, run, INK)
         for shown in shape.fields:
             label = f"true {shown.label}" if len(bags) == 1 else f"{run.label}, true {shown.label}"
             yield Curve(label, colour, numbers.times, shape.scale * numbers.rows[shown.field], Form.DOTTED)
@@ -61,5 +65,5 @@ def _class_panels(runs: Sequence[Run]) -> list[Panel]:
         ]
         if not curves:
             continue
-        panels.append(Panel(title_in(runs, run, "Class of soil"), "probability, %", curves, from_zero=True))
+        panels.append(Panel(plot_title(runs, run, "Class of soil"), "probability, %", curves, from_zero=True))
     return panels

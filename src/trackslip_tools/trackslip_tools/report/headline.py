@@ -15,11 +15,11 @@ from trackslip_tools.report.events import CERTAIN, Event
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import trouble_spells, troubles_text
+from trackslip_tools.report.story import stuck_track_intervals, stuck_tracks_text
 from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 
 _GAP_S = 1.0  # longer intervals between estimates count for neither distance nor time
-_NONE = "–"
+_NO_VALUE = "–"
 _LEAST_TIME_S = 0.5  # shortest duration of a slip, s
 
 
@@ -48,7 +48,7 @@ def travel_of(run: Run) -> Travel:
     dt[dt > _GAP_S] = 0.0
     speeds = np.hypot(states.twists[:-1, 0], states.twists[:-1, 1])
     seconds = {motion: float(dt[states.motion[:-1] == motion].sum()) for motion in Motion}
-    return Travel(float((speeds * dt)[states.moving[:-1]].sum()), seconds)
+    return Travel(float((speeds * dt)[states.is_moving[:-1]].sum()), seconds)
 
 
 def facts_of(
@@ -61,18 +61,18 @@ def facts_of(
     is_known = run.states is not None
     drove = f"{straight:.0f} s straight, {turning:.0f} s turning"
     return [
-        _verdict(checks),
-        Fact("Distance", f"{travel.distance:.1f} m" if is_known else _NONE),
-        Fact("Driving", f"{straight + turning:.0f} s" if is_known else _NONE, drove if is_known else ""),
-        Fact("Standing", f"{standing:.0f} s" if is_known else _NONE),
-        _largest_slip(run, limits),
-        _troubles(run),
-        _soil(run),
-        _events(events),
+        _verdict_fact(checks),
+        Fact("Distance", f"{travel.distance:.1f} m" if is_known else _NO_VALUE),
+        Fact("Driving", f"{straight + turning:.0f} s" if is_known else _NO_VALUE, drove if is_known else ""),
+        Fact("Standing", f"{standing:.0f} s" if is_known else _NO_VALUE),
+        _largest_slip_fact(run, limits),
+        _stuck_tracks_fact(run),
+        _soil_fact(run),
+        _events_fact(events),
     ]
 
 
-def _verdict(checks: Mapping[str, Verdict]) -> Fact:
+def _verdict_fact(checks: Mapping[str, Verdict]) -> Fact:
     bad = [name for name, check in checks.items() if check.state is State.ATTENTION]
     made = sum(check.state is not State.UNKNOWN for check in checks.values())
     value = f"{made - len(bad)} of {made} checks ok"
@@ -81,22 +81,24 @@ def _verdict(checks: Mapping[str, Verdict]) -> Fact:
     return Fact("Verdict", value, f"look at: {', '.join(bad)}", State.ATTENTION)
 
 
-def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
+def _largest_slip_fact(run: Run, limits: VerdictLimits) -> Fact:
     """The largest slip among estimates whose slip has a small standard deviation."""
     name = "Largest slip"
     if run.states is None:
-        return Fact(name, _NONE)
+        return Fact(name, _NO_VALUE)
     states = run.states
     sigmas = np.sqrt(np.diagonal(states.slip_covariances, axis1=1, axis2=2)[:, :2])
-    known = states.moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
+    known = states.is_moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
     if not known.any():
-        return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} %")
+        return Fact(name, _NO_VALUE, f"never known to {PERCENT * limits.slip_stddev:g} %")
     times = run.recording.seconds(states.path.stamps_ns)
     slips = np.column_stack(
         [persistent_slips(times, np.where(known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
     )
     if not np.isfinite(slips).any():
-        return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LEAST_TIME_S:g} s")
+        return Fact(
+            name, _NO_VALUE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LEAST_TIME_S:g} s"
+        )
     size = np.where(np.isfinite(slips), np.abs(slips), -1.0)
     k, side = np.unravel_index(np.argmax(size), size.shape)
     at_s = times[k]
@@ -119,18 +121,18 @@ def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
     return np.concatenate((rim, middles, rim))
 
 
-def _troubles(run: Run) -> Fact:
-    name, found = "Stalled or stuck", trouble_spells(run)
+def _stuck_tracks_fact(run: Run) -> Fact:
+    name, found = "Stalled or stuck", stuck_track_intervals(run)
     if not found:
-        return Fact(name, _NONE, "no hydraulics in the bag")
-    troubles = troubles_text(found)
+        return Fact(name, _NO_VALUE, "no hydraulics in the bag")
+    troubles = stuck_tracks_text(found)
     return Fact(name, "yes", troubles, State.ATTENTION) if troubles else Fact(name, "no", "", State.OK)
 
 
-def _soil(run: Run) -> Fact:
+def _soil_fact(run: Run) -> Fact:
     numbers = run.numbers.get(SOIL)
     if numbers is None:
-        return Fact("Soil", _NONE, "neither hydraulics nor soil estimates in the bag")
+        return Fact("Soil", _NO_VALUE, "neither hydraulics nor soil estimates in the bag")
     last = numbers.rows[-1]
     note = f"K {100.0 * last['shear_modulus']:.1f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
     chances = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
@@ -143,6 +145,6 @@ def _soil(run: Run) -> Fact:
     return Fact("Soil", found, note)
 
 
-def _events(events: Sequence[Event]) -> Fact:
+def _events_fact(events: Sequence[Event]) -> Fact:
     bad = sum(event.level is not Level.OK for event in events)
     return Fact("Events", str(len(events)), f"{bad} of them warnings or errors" if bad else "")

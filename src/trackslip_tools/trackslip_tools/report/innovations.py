@@ -29,7 +29,7 @@ from trackslip_tools.report.panel import (
     Curve,
     Form,
     Panel,
-    colour_in,
+    curve_colour,
 )
 from trackslip_tools.report.run import Run
 
@@ -44,12 +44,12 @@ class Innovations(NamedTuple):
     nis: FloatArray  # (n,)
     gates: FloatArray  # (n,) limit of nis
     freedoms: FloatArray  # (n,) degrees of freedom
-    refused: BoolArray  # (n,) gated
+    gated: BoolArray  # (n,) gated
 
     @property
     def mean_ratio(self) -> float:
         """Mean of NIS over mean dof of the accepted measurements: 1 if the filter is consistent."""
-        accepted = ~self.refused
+        accepted = ~self.gated
         return (
             float(self.nis[accepted].sum() / self.freedoms[accepted].sum())
             if accepted.any()
@@ -81,32 +81,32 @@ def innovation_panels(runs: Sequence[Run]) -> list[Panel]:
     panels = []
     for source in sorted({source for _, by_source in found for source in by_source}):
         own = [(run, by_source[source]) for run, by_source in found if source in by_source]
-        curves = [*_points(own[0][1])] if len(runs) == 1 else []
-        curves.append(_expected(own[0][1]))
+        curves = [*_nis_curves(own[0][1])] if len(runs) == 1 else []
+        curves.append(_expected_band(own[0][1]))
         for run, innovations in own:
             label = f"mean of {WINDOW}" if len(runs) == 1 else run.label
-            curves.append(_moving_mean(innovations, label, colour_in(runs, run, INK)))
+            curves.append(_moving_mean(innovations, label, curve_colour(runs, run, INK)))
         title = f"{source}: squared innovations over what is expected"
         panels.append(Panel(title, "NIS / dof", curves, logarithmic=True))
     return panels + (_whitened_panels(runs[0]) if len(runs) == 1 else [])
 
 
-def _points(innovations: Innovations) -> Iterator[Curve]:
+def _nis_curves(innovations: Innovations) -> Iterator[Curve]:
     """NIS of each measurement, and the gate."""
     ratio = innovations.nis / innovations.freedoms
     order = np.argsort(innovations.times, kind="stable")
     gate = (innovations.gates / innovations.freedoms)[order]
     yield Curve("gate", ORANGE, innovations.times[order], gate, Form.DASHED)
     for label, chosen, form in (
-        ("accepted", ~innovations.refused, Form.POINTS),
-        ("refused", innovations.refused, Form.CROSSES),
+        ("accepted", ~innovations.gated, Form.POINTS),
+        ("refused", innovations.gated, Form.CROSSES),
     ):
         if chosen.any():
             colour = ORANGE if form is Form.CROSSES else BLUE
             yield Curve(label, colour, innovations.times[chosen], ratio[chosen], form)
 
 
-def _expected(innovations: Innovations) -> Curve:
+def _expected_band(innovations: Innovations) -> Curve:
     """The expected mean 1, and the 95 % band of moving means of a consistent filter."""
     ends = np.array((innovations.times.min(), innovations.times.max()))
     freedom = WINDOW * float(np.median(innovations.freedoms))
@@ -116,7 +116,7 @@ def _expected(innovations: Innovations) -> Curve:
 
 def _moving_mean(innovations: Innovations, label: str, colour: str) -> Curve:
     """Moving mean of NIS over accepted measurements, at the last one of each window."""
-    accepted = ~innovations.refused
+    accepted = ~innovations.gated
     order = np.argsort(innovations.times[accepted], kind="stable")
     columns = (innovations.nis[accepted][order], innovations.freedoms[accepted][order])
     nis, freedoms = (np.convolve(column, np.ones(WINDOW), mode="valid") for column in columns)
@@ -145,20 +145,20 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
     time are left out.
     """
     fixes = run.details.fixes
-    refused = [outcome for outcome in Outcome if outcome.is_rejected]
-    compared = fixes["expected"] & ~np.isin(fixes["outcome"], refused)
+    rejected = [outcome for outcome in Outcome if outcome.is_rejected]
+    compared = fixes["expected"] & ~np.isin(fixes["outcome"], rejected)
     found = {}
     for source, stated in run.parameters.poses().items():
         numbers = [k for k, name in enumerate(run.details.sources) if name == source]
         own = fixes[compared & np.isin(fixes["source"], numbers)]
         if len(own):
-            found[source] = run.recording.seconds(own["stamp_ns"]), _whitened(own, stated)
+            found[source] = run.recording.seconds(own["stamp_ns"]), _whiten_differences(own, stated)
     return found
 
 
-def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
+def _whiten_differences(fixes: Rows, source: PoseSource) -> FloatArray:
     """w (n, 3): fixes less expected poses, whitened."""
-    pose, P = _at_sensor(fixes["pose"], fixes["pose_covariance"], source)
+    pose, P = _transform_to_sensor(fixes["pose"], fixes["pose_covariance"], source)
     R = fixes["noise"].copy()
     floors = np.array((source.position_floor, source.position_floor, source.heading_floor))
     diagonal = np.arange(3)
@@ -173,7 +173,9 @@ def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
     return w
 
 
-def _at_sensor(poses: FloatArray, P: FloatArray, source: PoseSource) -> tuple[FloatArray, FloatArray]:
+def _transform_to_sensor(
+    poses: FloatArray, P: FloatArray, source: PoseSource
+) -> tuple[FloatArray, FloatArray]:
     """(n, 3) poses and covariances (n, 3, 3) of base_link, transformed to the sensor."""
     c, s = np.cos(poses[:, YAW]), np.sin(poses[:, YAW])
     x, y = source.lever[:2]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackslip_estimation.slip.learned_text import NOT_OBSERVED, LearnedQuantity, decimals
-from trackslip_tools.report.panel import BLUE, SIGMAS, Curve, Panel, colour_in, name_in, within
+from trackslip_tools.report.panel import BLUE, SIGMAS, Curve, Panel, curve_colour, curve_label, sigma_band
 from trackslip_tools.report.run import Run
 
 Row = tuple[str, ...]
@@ -27,9 +27,11 @@ def learned_panels(runs: Sequence[Run]) -> list[Panel]:
         observed |= {finding.name: finding for finding in last if finding.observed}
     panels = []
     for name, finding in observed.items():
-        curves = [curve for run in runs if (curve := _course(runs, run, name)) is not None]
+        curves = [curve for run in runs if (curve := _learned_curve(runs, run, name)) is not None]
         form = finding.form
-        panels.append(Panel(form.label, f"{form.label}, {form.unit}", curves, limits=(_as_stated(finding),)))
+        panels.append(
+            Panel(form.label, f"{form.label}, {form.unit}", curves, limits=(_nominal_value(finding),))
+        )
     return panels
 
 
@@ -44,12 +46,12 @@ def _row(finding: LearnedQuantity) -> Row:
     return (form.label, f"{value:.{digits}f}", interval, form.unit, finding.sentence)
 
 
-def _as_stated(finding: LearnedQuantity) -> float:
+def _nominal_value(finding: LearnedQuantity) -> float:
     """The value that means no deviation from the parameters: 1 for factors, else 0."""
     return 1.0 if "factor" in finding.name else 0.0
 
 
-def _course(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
+def _learned_curve(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
     """A quantity over time, as a curve."""
     found = [
         (known.stamp_ns, finding)
@@ -63,6 +65,6 @@ def _course(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
     values = np.array([form.shown(finding.value) for _, finding in found])
     sigmas = np.array([form.scale * finding.stddev for _, finding in found])
     times = run.recording.seconds(np.array([stamp_ns for stamp_ns, _ in found], np.int64))
-    label, colour = name_in(runs, run, "estimate"), colour_in(runs, run, BLUE)
-    low, high = within(values, sigmas)
+    label, colour = curve_label(runs, run, "estimate"), curve_colour(runs, run, BLUE)
+    low, high = sigma_band(values, sigmas)
     return Curve(label, colour, times, values, band=(np.maximum(low, form.least), high))

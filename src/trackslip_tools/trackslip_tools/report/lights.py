@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 from trackslip_common.errors import printable
 
 SILENT_S = 1.5  # timeout for the status that nodes publish once a second: the node has ended, or hangs
-MOST = 60  # largest number of lights
-_LONGEST = 160  # characters of a text
+MAX_LIGHTS = 60  # largest number of lights
+_MAX_CHARACTERS = 160  # characters of a text
 _RATE, _AGE = "rate (Hz)", "age (s)"  # keys in the status of drivers
 
 
@@ -65,15 +65,15 @@ def _status(one: Any, prefix: str) -> Status:
     level = one.level[0] if isinstance(one.level, bytes) else int(one.level)
     known = Level(level) if level in (Level.OK, Level.WARN, Level.ERROR, Level.STALE) else Level.ERROR
     values = {pair.key: pair.value for pair in one.values}
-    return Status(_text(one.name.removeprefix(prefix)), known, _text(one.message), values)
+    return Status(_short_text(one.name.removeprefix(prefix)), known, _short_text(one.message), values)
 
 
-def _text(text: str) -> str:
-    return printable(text, _LONGEST)
+def _short_text(text: str) -> str:
+    return printable(text, _MAX_CHARACTERS)
 
 
 @dataclass
-class _Received:
+class _ReceivedStatus:
     status: Status
     at_s: float
 
@@ -82,8 +82,8 @@ class Lights:
     """Keeps the last status of each name; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self._received: dict[str, _Received] = {}
-        self._news: dict[str, Mapping[str, str]] = {}
+        self._received: dict[str, _ReceivedStatus] = {}
+        self._new_values: dict[str, Mapping[str, str]] = {}
         self.left_out = 0  # statuses beyond ``MOST``
 
     def update(self, statuses: Iterable[Status], now_s: float) -> None:
@@ -94,23 +94,23 @@ class Lights:
             if received.status.node in nodes and name not in found:
                 del self._received[name]
         for name, status in found.items():
-            if name in self._received or len(self._received) < MOST:
-                self._received[name] = _Received(status, now_s)
-                self._news[name] = status.values
+            if name in self._received or len(self._received) < MAX_LIGHTS:
+                self._received[name] = _ReceivedStatus(status, now_s)
+                self._new_values[name] = status.values
             else:
                 self.left_out += 1
 
-    def news(self) -> list[Mapping[str, str]]:
+    def pop_new_values(self) -> list[Mapping[str, str]]:
         """Values of the statuses received since the last call."""
-        news, self._news = list(self._news.values()), {}
+        news, self._new_values = list(self._new_values.values()), {}
         return news
 
-    def at(self, now_s: float) -> list[Light]:
+    def lights_at(self, now_s: float) -> list[Light]:
         """All lights, sorted by name."""
         return [_light(self._received[name], now_s) for name in sorted(self._received)]
 
 
-def _light(received: _Received, now_s: float) -> Light:
+def _light(received: _ReceivedStatus, now_s: float) -> Light:
     status, quiet_s = received.status, now_s - received.at_s
     rate, age = (_number(status.values.get(key, "")) for key in (_RATE, _AGE))
     age = quiet_s if math.isnan(age) else age + quiet_s

@@ -16,16 +16,16 @@ from trackslip_tools.report.panel import (
     INK,
     SIGMAS,
     Curve,
+    DrawnStates,
     Form,
     Panel,
-    Shown,
-    colour_in,
-    name_in,
-    shown_of,
-    within,
+    curve_colour,
+    curve_label,
+    drawn_states,
+    sigma_band,
 )
 from trackslip_tools.report.quantities import QUANTITIES, Quantity
-from trackslip_tools.report.run import Run, States, recordings
+from trackslip_tools.report.run import Run, States, first_runs_of_bags
 
 _DEGREES = 180.0 / np.pi
 
@@ -33,21 +33,21 @@ _DEGREES = 180.0 / np.pi
 def error_panels(runs: Sequence[Run]) -> list[Panel]:
     """Errors of position and heading against the reference, with their 2σ in the estimate."""
     distance, heading = [], []
-    for run, shown in _shown(runs):
+    for run, shown in _drawn_states(runs):
         errors = errors_of(run, shown.states)
         if errors is None:
             continue
-        label, colour = name_in(runs, run, shown.name), colour_in(runs, run, shown.colour)
+        label, colour = curve_label(runs, run, shown.name), curve_colour(runs, run, shown.colour)
         variances = np.diagonal(errors.covariances, axis1=1, axis2=2)
-        away = 100.0 * np.hypot(errors.values[:, 0], errors.values[:, 1])
-        claimed = 100.0 * SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
-        band = (np.zeros_like(away), claimed)
-        distance.append(Curve(label, colour, errors.times, away, shown.form, band))
+        distances = 100.0 * np.hypot(errors.values[:, 0], errors.values[:, 1])
+        bounds = 100.0 * SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
+        band = (np.zeros_like(distances), bounds)
+        distance.append(Curve(label, colour, errors.times, distances, shown.form, band))
         turned = _DEGREES * errors.values[:, 2]
         if not np.isfinite(turned).any():  # a reference without headings
             continue
         known = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
-        band = within(np.zeros_like(turned), _DEGREES * np.sqrt(known))
+        band = sigma_band(np.zeros_like(turned), _DEGREES * np.sqrt(known))
         heading.append(Curve(label, colour, errors.times, turned, shown.form, band))
     if not distance:
         return []
@@ -61,7 +61,7 @@ def motion_panels(runs: Sequence[Run]) -> list[Panel]:
     """Slips, slip angle, speed and yaw rate, each with ±2σ, and the truth if the bag has it."""
     panels = []
     for quantity in QUANTITIES:
-        curves = [*_truths(runs, quantity), *_estimates(runs, quantity)]
+        curves = [*_true_curves(runs, quantity), *_estimated_curves(runs, quantity)]
         if curves:
             panels.append(Panel(quantity.title, quantity.axis, curves, limits=(0.0,)))
     return panels
@@ -80,7 +80,7 @@ def errors_of(run: Run, states: States) -> Errors | None:
     reference = run.replay.paths.get("reference")
     if reference is None:
         return None
-    values = states.path.at(reference.stamps_ns) - reference.poses
+    values = states.path.poses_at(reference.stamps_ns) - reference.poses
     covered = np.isfinite(values[:, 0])
     if not covered.any():
         return None
@@ -98,14 +98,14 @@ def true_slips(run: Run) -> Series | None:
     return moving_slips(odometry, slips, run.parameters.vehicle.kinematics.tread)
 
 
-def _truths(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
+def _true_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
     """One true curve for each bag that has it."""
-    bags = recordings(runs)
+    bags = first_runs_of_bags(runs)
     for run in bags:
         series = run.replay.series.get(quantity.truth)
         if series is not None:
             label = "truth" if len(bags) == 1 else f"truth, {run.label}"
-            colour = INK if len(bags) == 1 else colour_in(runs, run, INK)
+            colour = INK if len(bags) == 1 else curve_colour(runs, run, INK)
             form = Form.LINE if len(bags) == 1 else Form.DOTTED
             values = quantity.scale * series[quantity.true_column]
             moving = true_slips(run) if quantity.truth == TRUE_SLIP else None
@@ -116,16 +116,18 @@ def _truths(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
             yield Curve(label, colour, run.recording.seconds(series.stamps_ns), values, form)
 
 
-def _estimates(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
-    for run, shown in _shown(runs):
+def _estimated_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
+    for run, shown in _drawn_states(runs):
         states = shown.states
-        values, (lower, upper) = quantity.of(vars(states))
+        values, (lower, upper) = quantity.values_with_band(vars(states))
         if quantity.estimate == "slips":
-            values, lower, upper = (np.where(states.moving, each, np.nan) for each in (values, lower, upper))
-        label, colour = name_in(runs, run, shown.name), colour_in(runs, run, shown.colour)
+            values, lower, upper = (
+                np.where(states.is_moving, each, np.nan) for each in (values, lower, upper)
+            )
+        label, colour = curve_label(runs, run, shown.name), curve_colour(runs, run, shown.colour)
         times = run.recording.seconds(states.path.stamps_ns)
         yield Curve(label, colour, times, values, shown.form, (lower, upper))
 
 
-def _shown(runs: Sequence[Run]) -> Iterator[tuple[Run, Shown]]:
-    return ((run, shown) for run in runs for shown in shown_of(run))
+def _drawn_states(runs: Sequence[Run]) -> Iterator[tuple[Run, DrawnStates]]:
+    return ((run, shown) for run in runs for shown in drawn_states(run))

@@ -51,11 +51,11 @@ class NumbersCollector:
         if self._kind is SoilFields:
             self._add_classes(message)
         if len(self._waiting) >= _BLOCK:
-            self._settle()
+            self._convert_waiting()
 
     def numbers(self) -> Numbers:
         """The columns of all added messages."""
-        self._settle()
+        self._convert_waiting()
         rows = np.concatenate(self._parts)
         times = (rows["stamp_ns"] - self._start_ns) * 1e-9
         names = sorted({name for known, _ in self._classes for name in known})
@@ -65,7 +65,7 @@ class NumbersCollector:
                 probabilities[name][k] = value
         return Numbers(times, rows, probabilities, self._reason)
 
-    def _settle(self) -> None:
+    def _convert_waiting(self) -> None:
         self._parts.append(np.array(self._waiting, dtype=dtype_of(self._kind)))
         self._waiting.clear()
 

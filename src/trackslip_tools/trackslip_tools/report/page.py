@@ -23,10 +23,10 @@ from trackslip_tools.report.motion_panels import error_panels, motion_panels
 from trackslip_tools.report.panel import DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
 from trackslip_tools.report.plots import strip_plot, time_plot, time_range
-from trackslip_tools.report.run import Run, aligned, recordings
+from trackslip_tools.report.run import Run, align_runs, first_runs_of_bags
 from trackslip_tools.report.story import events_of, message_strips, strips
 from trackslip_tools.report.tables import (
-    differing,
+    differing_rows,
     event_rows,
     parameter_rows,
     rejection_rows,
@@ -37,13 +37,13 @@ from trackslip_tools.report.verdict import VerdictLimits, verdicts
 
 _SAMPLES = 4000  # per curve, in a report of up to two runs; more runs share the same total
 _SHARING = 2
-_AT_ONCE = 4  # plots drawn before the page is shown; report.js adds the others one by one
+_INITIAL_PLOTS = 4  # plots drawn before the page is shown; report.js adds the others one by one
 _TIME, _TIME_OF_DRIVING = "time, s", "time from the start of driving, s"
 
 
 def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
     """The HTML page of one run, or of several side by side; times of several bags start with driving."""
-    runs = aligned(runs)
+    runs = align_runs(runs)
     samples = _SAMPLES * _SHARING // max(len(runs), _SHARING)
     x_range = time_range([run.recording for run in runs])
     path = path_plot(runs, samples)
@@ -61,11 +61,11 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
     sections["Messages"] = [strip_plot(strip, x_range, samples) for strip in message_strips(runs)]
     sections = {name: plots for name, plots in sections.items() if plots}
     for plots in sections.values():
-        plots[-1].xaxis.axis_label = _TIME if len(recordings(runs)) == 1 else _TIME_OF_DRIVING
+        plots[-1].xaxis.axis_label = _TIME if len(first_runs_of_bags(runs)) == 1 else _TIME_OF_DRIVING
     time_plots = [plot for plots in sections.values() for plot in plots]
     for number, plot in enumerate(time_plots):
-        plot.name, plot.visible = f"time-{number}", number < _AT_ONCE
-    _link(time_plots, path)
+        plot.name, plot.visible = f"time-{number}", number < _INITIAL_PLOTS
+    _link_cursor(time_plots, path)
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
     document = Document()
     with document.models.freeze():  # avoids that Bokeh walks through all linked models again for each plot
@@ -76,32 +76,32 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
         INLINE,
         title=f"Trackslip: {', '.join(run.label for run in runs)}",
         template=environment.get_template("page.html"),
-        template_variables=_variables(runs, limits, sections),
+        template_variables=_template_variables(runs, limits, sections),
     )
     return page
 
 
-def _link(time_plots: Sequence[figure], path: PathPlot) -> None:
+def _link_cursor(time_plots: Sequence[figure], path: PathPlot) -> None:
     """Link one cursor across all plots over time with the machine's marker on the path."""
     spans = [Span(dimension="height", line_color=GREY, visible=False) for _ in time_plots]
     tracks = {
         "paths": [track.path for track in path.tracks],
         "markers": [track.marker for track in path.tracks],
     }
-    code = _text("cursor.js")
+    code = _template_text("cursor.js")
     for plot, span in zip(time_plots, spans, strict=True):
         plot.add_layout(span)
-        _on_pointer(plot, CustomJS(args={"spans": spans, "on_path": False, **tracks}, code=code))
-    _on_pointer(path.plot, CustomJS(args={"spans": spans, "on_path": True, **tracks}, code=code))
+        _add_pointer_callback(plot, CustomJS(args={"spans": spans, "on_path": False, **tracks}, code=code))
+    _add_pointer_callback(path.plot, CustomJS(args={"spans": spans, "on_path": True, **tracks}, code=code))
 
 
-def _on_pointer(plot: figure, callback: CustomJS) -> None:
+def _add_pointer_callback(plot: figure, callback: CustomJS) -> None:
     """Run a callback when the mouse moves over a plot, and when a finger taps it."""
     for event in (MouseMove, Tap):
         plot.js_on_event(event, callback)
 
 
-def _variables(
+def _template_variables(
     runs: Sequence[Run], limits: VerdictLimits, sections: dict[str, list[figure]]
 ) -> dict[str, Any]:
     parameters = parameter_rows(runs)
@@ -112,17 +112,17 @@ def _variables(
         "runs": run_facts(runs),
         "facts": [*zip(*heads, strict=True)],
         "events": [(run.label, event_rows(found)) for run, found in zip(runs, events, strict=True)],
-        "is_aligned": len(recordings(runs)) > 1,
+        "is_aligned": len(first_runs_of_bags(runs)) > 1,
         "verdicts": [(name, [found[name] for found in checks]) for name in checks[0]],
         "learned": [(run.label, learned_rows(run)) for run in runs],
         "sections": sections,
-        "topics": [(run.label, topic_rows(run)) for run in recordings(runs)],
+        "topics": [(run.label, topic_rows(run)) for run in first_runs_of_bags(runs)],
         "rejections": [(run.label, rejection_rows(run)) for run in runs],
-        "differences": differing(parameters),
+        "differences": differing_rows(parameters),
         "parameters": parameters,
         "dark": DARK,
     }
 
 
-def _text(name: str) -> str:
+def _template_text(name: str) -> str:
     return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")

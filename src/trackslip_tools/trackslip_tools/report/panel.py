@@ -68,12 +68,12 @@ class Panel:
     from_zero: bool = False  # whether the axis begins at zero
 
 
-def within(values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sigma_band(values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The band about values, ± ``SIGMAS`` ``sigmas`` (standard deviations)."""
     return values - SIGMAS * sigmas, values + SIGMAS * sigmas
 
 
-class Shown(NamedTuple):
+class DrawnStates(NamedTuple):
     """States to draw, with the style for a report of one run."""
 
     name: str
@@ -82,26 +82,26 @@ class Shown(NamedTuple):
     form: Form
 
 
-def shown_of(run: "Run") -> Iterator[Shown]:
+def drawn_states(run: "Run") -> Iterator[DrawnStates]:
     """The filter's states and, if computed, the smoothed ones."""
     if run.states is not None:
-        yield Shown("estimate", run.states, BLUE, Form.LINE)
+        yield DrawnStates("estimate", run.states, BLUE, Form.LINE)
     if run.smoothed_states is not None:
-        yield Shown("smoothed", run.smoothed_states, PURPLE, Form.DASHED)
+        yield DrawnStates("smoothed", run.smoothed_states, PURPLE, Form.DASHED)
 
 
-def name_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
+def curve_label(runs: Sequence["Run"], run: "Run", what: str) -> str:
     """Label of a curve: its quantity, and its run if there are several."""
     if len(runs) == 1:
         return what
     return run.label if what == "estimate" else f"{run.label}, {what}"
 
 
-def title_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
+def plot_title(runs: Sequence["Run"], run: "Run", what: str) -> str:
     """Title of a plot: its quantity, and its run if there are several."""
     return what if len(runs) == 1 else f"{what}, {run.label}"
 
 
-def colour_in(runs: Sequence["Run"], run: "Run", own: str) -> str:
+def curve_colour(runs: Sequence["Run"], run: "Run", own: str) -> str:
     """The run's colour if there are several runs, else the curve's own."""
     return own if len(runs) == 1 else COLOURS[runs.index(run)]

@@ -14,10 +14,10 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.report import plan_shapes
-from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, colour_in, name_in
+from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, curve_colour, curve_label
 from trackslip_tools.report.plan_shapes import machine_size
-from trackslip_tools.report.plots import dress, extremes, tools
-from trackslip_tools.report.run import Run, States, recordings
+from trackslip_tools.report.plots import extreme_indices, plot_tools, style_plot
+from trackslip_tools.report.run import Run, States, first_runs_of_bags
 
 _HEIGHT = 620
 BOX_SOURCE = "box_pose"
@@ -46,14 +46,14 @@ def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
         match_aspect=True,
         height=_HEIGHT,
         sizing_mode="stretch_width",
-        **tools(BoxZoomTool(match_aspect=True)),
+        **plot_tools(BoxZoomTool(match_aspect=True)),
         x_axis_label="x, m",
         y_axis_label="y, m",
         min_border_left=60,
     )
-    for run in recordings(runs):
+    for run in first_runs_of_bags(runs):
         _draw_laser(plot, run, samples)
-    lines = [line for run in recordings(runs) for line in _draw_references(plot, runs, run, samples)]
+    lines = [line for run in first_runs_of_bags(runs) for line in _draw_references(plot, runs, run, samples)]
     tracks = []
     for run in runs:
         if run.states is not None:
@@ -63,7 +63,7 @@ def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
     if lines:
         room = {"range_padding": 1.0, "range_padding_units": "absolute"}
         plot.x_range, plot.y_range = (DataRange1d(renderers=lines, **room) for _ in "xy")
-    dress(plot)
+    style_plot(plot)
     return PathPlot(plot, tracks)
 
 
@@ -74,16 +74,16 @@ def _draw_laser(plot: figure, run: Run, samples: int) -> None:
         points = recording.points[:: -(-len(recording.points) // samples) or 1]
         x, y = points.T.astype(np.float32)
         plot.scatter(x, y, marker="dot", size=6, color=GREY, alpha=0.7, legend_label="laser points")
-        look = {"marker": "triangle", "size": 11, "color": GREY, "legend_label": "laser"}
-        plot.scatter(*recording.laser[:, np.newaxis], **look)
+        style = {"marker": "triangle", "size": 11, "color": GREY, "legend_label": "laser"}
+        plot.scatter(*recording.laser[:, np.newaxis], **style)
     outlines = boxes(run)
     if len(outlines):
         x, y = (list(outlines[:, :, axis]) for axis in (0, 1))
         plot.multi_line(x, y, color=GREEN, alpha=0.45, line_width=1, legend_label="box by the laser")
     for (source, poses), colour in zip(fixes_of(run).items(), (PURPLE, GREEN, ORANGE), strict=False):
         x, y = poses[:: -(-len(poses) // samples), :2].T
-        look = {"marker": "cross", "size": 6, "color": colour, "alpha": 0.8}
-        plot.scatter(x, y, **look, legend_label=f"fixes of {source}")
+        style = {"marker": "cross", "size": 6, "color": colour, "alpha": 0.8}
+        plot.scatter(x, y, **style, legend_label=f"fixes of {source}")
 
 
 def _draw_references(plot: figure, runs: Sequence[Run], run: Run, samples: int) -> list[GlyphRenderer]:
@@ -91,42 +91,42 @@ def _draw_references(plot: figure, runs: Sequence[Run], run: Run, samples: int) 
     lines = []
     encoders, reference = (run.replay.paths.get(name) for name in ("dead_reckoning", "reference"))
     if run.smoothed_states is not None and len(runs) == 1:
-        source = _source(run, run.smoothed_states.path, samples)
-        look = {"color": PURPLE, "line_dash": "dashed", "line_width": 1.5}
-        lines.append(plot.line("x", "y", source=source, legend_label="smoothed", **look))
+        source = _path_source(run, run.smoothed_states.path, samples)
+        style = {"color": PURPLE, "line_dash": "dashed", "line_width": 1.5}
+        lines.append(plot.line("x", "y", source=source, legend_label="smoothed", **style))
     if encoders is not None and len(runs) == 1:
-        source = _source(run, encoders, samples)
-        look = {"color": ORANGE, "line_dash": "dashed", "line_width": 1.5}
-        lines.append(plot.line("x", "y", source=source, legend_label="encoders alone", **look))
+        source = _path_source(run, encoders, samples)
+        style = {"color": ORANGE, "line_dash": "dashed", "line_width": 1.5}
+        lines.append(plot.line("x", "y", source=source, legend_label="encoders alone", **style))
     if reference is not None and len(reference.stamps_ns):
-        source = _source(run, reference, samples)
-        bags = recordings(runs)
-        look = {"color": INK, "line_width": 3, "legend_label": name_in(bags, run, "reference")}
+        source = _path_source(run, reference, samples)
+        bags = first_runs_of_bags(runs)
+        style = {"color": INK, "line_width": 3, "legend_label": curve_label(bags, run, "reference")}
         if len(bags) > 1:
-            look |= {"color": colour_in(runs, run, INK), "line_dash": "dotted"}
-        lines.append(plot.line("x", "y", source=source, **look))
+            style |= {"color": curve_colour(runs, run, INK), "line_dash": "dotted"}
+        lines.append(plot.line("x", "y", source=source, **style))
     return lines
 
 
 def _draw_estimate(plot: figure, runs: Sequence[Run], run: Run, samples: int) -> tuple[GlyphRenderer, Track]:
     assert run.states is not None
-    colour, label = colour_in(runs, run, BLUE), name_in(runs, run, "estimate")
+    colour, label = curve_colour(runs, run, BLUE), curve_label(runs, run, "estimate")
     outlines = ellipses(run.states)
     x, y = (list(outlines[:, :, axis]) for axis in (0, 1))
     plot.patches(x, y, color=colour, fill_alpha=0.2, line_alpha=0.6, legend_label=label)
-    source = _source(run, run.states.path, samples)
+    source = _path_source(run, run.states.path, samples)
     line = plot.line("x", "y", source=source, color=colour, line_width=1.8, legend_label=label)
     first = {name: [float(source.data[name][0])] for name in ("x", "y", "heading")}
     marker = ColumnDataSource(first)
     length, width = machine_size(run.parameters.vehicle)
-    look = {"fill_color": colour, "fill_alpha": 0.25, "line_color": colour, "line_width": 1.5}
-    plot.rect("x", "y", angle="heading", source=marker, width=length, height=width, **look)
+    style = {"fill_color": colour, "fill_alpha": 0.25, "line_color": colour, "line_width": 1.5}
+    plot.rect("x", "y", angle="heading", source=marker, width=length, height=width, **style)
     plot.ray("x", "y", angle="heading", length=0.9 * length, source=marker, color=colour)
     return line, Track(source, marker)
 
 
-def _source(run: Run, path: Path, samples: int) -> ColumnDataSource:
-    kept = extremes([path.poses[:, 0], path.poses[:, 1]], samples)
+def _path_source(run: Run, path: Path, samples: int) -> ColumnDataSource:
+    kept = extreme_indices([path.poses[:, 0], path.poses[:, 1]], samples)
     x, y, heading = path.poses[kept].T
     t = run.recording.seconds(path.stamps_ns[kept])
     return ColumnDataSource(
@@ -136,7 +136,7 @@ def _source(run: Run, path: Path, samples: int) -> ColumnDataSource:
 
 def ellipses(states: States) -> FloatArray:
     """(k, 33, 2) closed 2σ outlines of the position, evenly spread over the samples."""
-    chosen = _spread(len(states.path.stamps_ns), _ELLIPSES)
+    chosen = _spread_indices(len(states.path.stamps_ns), _ELLIPSES)
     return plan_shapes.ellipses(states.path.poses[chosen, :2], states.pose_covariances[chosen, :2, :2])
 
 
@@ -147,7 +147,7 @@ def boxes(run: Run) -> FloatArray:
     if fixes is None or sensors is None or sensors.box is None:
         return np.empty((0, 5, 2))
     return np.array(
-        [plan_shapes.box_outline(sensors.box, pose) for pose in fixes[_spread(len(fixes), _BOXES)]]
+        [plan_shapes.box_outline(sensors.box, pose) for pose in fixes[_spread_indices(len(fixes), _BOXES)]]
     )
 
 
@@ -161,6 +161,6 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
     return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
 
 
-def _spread(size: int, requested: int) -> NDArray[np.intp]:
+def _spread_indices(size: int, requested: int) -> NDArray[np.intp]:
     """Up to ``requested`` indices, evenly spread from the first to the last."""
     return np.unique(np.linspace(0, size - 1, min(size, requested)).round().astype(np.intp))

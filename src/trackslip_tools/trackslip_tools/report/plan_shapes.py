@@ -8,8 +8,8 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Box, VehicleParameters
 from trackslip_tools.report.panel import SIGMAS
 
-_TURN = np.linspace(0.0, 2.0 * np.pi, 33)
-_CIRCLE = np.stack((np.cos(_TURN), np.sin(_TURN)))  # (2, 33)
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 33)
+_CIRCLE = np.stack((np.cos(_ANGLES), np.sin(_ANGLES)))  # (2, 33)
 _CORNERS = np.array(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0)))  # (5, 2)
 
 
@@ -23,7 +23,7 @@ def ellipses(positions: FloatArray, covariances: FloatArray) -> FloatArray:
 def rectangle(pose: FloatArray, size: tuple[float, float], centre: tuple[float, float]) -> FloatArray:
     """(5, 2) closed outline of a rectangle, ``size`` along x and y, ``centre`` in the frame at ``pose``."""
     points = 0.5 * _CORNERS * np.array(size) + np.array(centre)
-    return placed(pose, points)
+    return transform_points(pose, points)
 
 
 def box_outline(box: Box, pose: FloatArray) -> FloatArray:
@@ -37,7 +37,7 @@ def machine_size(vehicle: VehicleParameters) -> tuple[float, float]:
     return vehicle.kinematics.contact_length, width
 
 
-def placed(pose: FloatArray, points: FloatArray) -> FloatArray:
+def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
     """(n, 2) points, transformed from the frame at ``pose`` (3,) x, y, heading to the frame of that pose."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))), dtype=np.float64)

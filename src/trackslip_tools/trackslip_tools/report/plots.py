@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import printable
 from trackslip_tools.report.panel import GRID, INK, PAPER, Curve, Form, Panel
-from trackslip_tools.report.spells import Look, Spell, Strip
+from trackslip_tools.report.spells import StateInterval, Strip, Style
 
 if TYPE_CHECKING:
     from trackslip_tools.report.recording import Recording
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 _HEIGHT = 230
 _DASHES = {Form.LINE: "solid", Form.DASHED: "dashed", Form.DOTTED: "dotted"}
-_INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band edges that stay visible
+_VALUE_PERCENTILES, _BAND_PERCENTILES = (0.5, 99.5), (10.0, 90.0)  # of values and band edges: stay visible
 _LEGEND_WIDTH, _LEGEND_ROW = 100, 22  # characters, pixels
-_INSIDE = 165  # height of a plot's frame, pixels
+_FRAME_HEIGHT = 165  # height of a plot's frame, pixels
 _TITLE, _LABEL, _ROW_NAME = 70, 32, 18  # characters shown of titles, labels and row names
 _STRIP_HEAD, _STRIP_ROW, _BORDER = 86, 20, 112  # pixels; row names lie in the border
-_ROOM = 0.1  # margin about the values, share of their range
+_MARGIN = 0.1  # margin about the values, share of their range
 
 
 def time_range(recordings: Sequence["Recording"]) -> Range1d:
@@ -53,15 +53,15 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
     """Plot of a panel, with at most ``samples`` points of each curve."""
     plot = time_figure(panel.title, panel.axis, x_range, logarithmic=panel.logarithmic)
     for limit in panel.limits:
-        look = {"line_color": INK, "line_alpha": 0.6, "line_dash": "dotted"}
-        plot.add_layout(Span(location=limit, dimension="width", **look))
+        style = {"line_color": INK, "line_alpha": 0.6, "line_dash": "dotted"}
+        plot.add_layout(Span(location=limit, dimension="width", **style))
     bands = sum(curve.band is not None for curve in panel.curves)
     alpha = 0.25 / max(bands, 1) ** 0.5
-    drawn = {curve: _draw(plot, curve, samples, alpha) for curve in panel.curves}
+    drawn = {curve: _draw_curve(plot, curve, samples, alpha) for curve in panel.curves}
     _add_hover(plot, drawn)
-    low, high = visible(panel)
+    low, high = visible_range(panel)
     plot.y_range = Range1d(low, high)
-    dress(plot)
+    style_plot(plot)
     return plot
 
 
@@ -69,29 +69,29 @@ def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
     """Plot of bars over time, the first row on top, with at most ``samples`` bars of each look."""
     names = list(strip.rows)[::-1]
     plot = time_figure(strip.title, "", x_range, height=_STRIP_HEAD + _STRIP_ROW * len(names))
-    by_look: dict[Look, list[tuple[int, Spell]]] = {}
+    by_style: dict[Style, list[tuple[int, StateInterval]]] = {}
     for row, name in enumerate(names):
         for bar in strip.rows[name]:
-            by_look.setdefault(bar.look, []).append((row, bar.spell))
-    for look, placed in sorted(by_look.items(), key=lambda item: item[1][0][1].state):
+            by_style.setdefault(bar.style, []).append((row, bar.interval))
+    for style, placed in sorted(by_style.items(), key=lambda item: item[1][0][1].state):
         chosen = placed[:samples]
         columns = {
             "row": [row for row, _ in chosen],
-            "start": [spell.start for _, spell in chosen],
-            "stop": [spell.stop for _, spell in chosen],
-            "text": [spell.text for _, spell in chosen],
+            "start": [interval.start for _, interval in chosen],
+            "stop": [interval.stop for _, interval in chosen],
+            "text": [interval.text for _, interval in chosen],
         }
         drawn = plot.hbar(
-            "row", height=0.6, left="start", right="stop", source=ColumnDataSource(columns), name=look.word,
-            color=look.colour, line_width=1.5, legend_label=look.word,
+            "row", height=0.6, left="start", right="stop", source=ColumnDataSource(columns), name=style.label,
+            color=style.colour, line_width=1.5, legend_label=style.label,
         )  # fmt: skip
         tips = "<div><b>$name</b> @text</div>"
         plot.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
     plot.yaxis.ticker = FixedTicker(ticks=list(range(len(names))))
     plot.yaxis.major_label_text_font_size = "10px"
     plot.yaxis.major_label_overrides = {row: plot_text(name, _ROW_NAME) for row, name in enumerate(names)}
-    dress(plot)
-    room = _LEGEND_ROW / _STRIP_ROW * max(legend_rows([look.word for look in by_look]) - 1, 0)
+    style_plot(plot)
+    room = _LEGEND_ROW / _STRIP_ROW * max(legend_rows([style.label for style in by_style]) - 1, 0)
     plot.y_range = Range1d(-0.7, len(names) + 0.7 + room)
     plot.ygrid.visible = False
     return plot
@@ -107,7 +107,7 @@ def time_figure(
         y_axis_type="log" if logarithmic else "linear",
         height=height,
         sizing_mode="stretch_width",
-        **tools(BoxZoomTool(dimensions="width"), dimensions="width"),
+        **plot_tools(BoxZoomTool(dimensions="width"), dimensions="width"),
         y_axis_label=axis,
         min_border_left=_BORDER,
         min_border_right=12,
@@ -116,7 +116,7 @@ def time_figure(
     return plot
 
 
-def tools(box: BoxZoomTool, **of_wheel: str) -> dict[str, Any]:
+def plot_tools(box: BoxZoomTool, **of_wheel: str) -> dict[str, Any]:
     """Tools of a plot, as arguments of ``figure``."""
     wheel = WheelZoomTool(modifiers={"ctrl": True}, **of_wheel)
     # None is active: page.js activates them for a mouse; a finger scrolls the page.
@@ -124,7 +124,7 @@ def tools(box: BoxZoomTool, **of_wheel: str) -> dict[str, Any]:
     return {"tools": own, "active_drag": None, "active_scroll": None}
 
 
-def dress(plot: figure) -> None:
+def style_plot(plot: figure) -> None:
     """Apply the style of all plots of a report."""
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
@@ -137,11 +137,11 @@ def dress(plot: figure) -> None:
         axis.axis_label_text_font_style = "normal"
     plot.grid.grid_line_color = GRID
     if plot.legend:
-        _dress_legend(plot)
+        _style_legend(plot)
 
 
-def _dress_legend(plot: figure) -> None:
-    """Place the legend above the curves, in the room that ``visible`` reserves."""
+def _style_legend(plot: figure) -> None:
+    """Place the legend above the curves, in the room that ``visible_range`` reserves."""
     legend = plot.legend[0]
     for item in legend.items:
         item.label = value(plot_text(item.label.value))
@@ -178,23 +178,23 @@ def plot_text(text: str, longest: int = _LABEL) -> str:
     return shown
 
 
-def _draw(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphRenderer:
+def _draw_curve(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphRenderer:
     """Draw a curve above its band."""
-    kept = extremes([curve.values, *(curve.band or ())], samples)
+    kept = extreme_indices([curve.values, *(curve.band or ())], samples)
     columns = {"t": curve.times[kept], "value": curve.values[kept]}
     if curve.band is not None:
         columns["low"], columns["high"] = (edge[kept] for edge in curve.band)
     source = ColumnDataSource({name: column.astype(np.float32) for name, column in columns.items()})
-    look = {"legend_label": curve.label, "source": source, "name": curve.label}
+    style = {"legend_label": curve.label, "source": source, "name": curve.label}
     if curve.band is not None:
-        plot.varea("t", "low", "high", fill_color=curve.colour, fill_alpha=band_alpha, **look)
-    look["color"] = curve.colour
+        plot.varea("t", "low", "high", fill_color=curve.colour, fill_alpha=band_alpha, **style)
+    style["color"] = curve.colour
     if curve.form in _DASHES:
-        look |= {"line_width": 2.2 if curve.colour == INK else 1.5, "line_dash": _DASHES[curve.form]}
-        drawn = plot.line("t", "value", **look)
+        style |= {"line_width": 2.2 if curve.colour == INK else 1.5, "line_dash": _DASHES[curve.form]}
+        drawn = plot.line("t", "value", **style)
     else:
         marker, size = ("circle", 3.5) if curve.form is Form.POINTS else ("x", 8)
-        drawn = plot.scatter("t", "value", marker=marker, size=size, **look)
+        drawn = plot.scatter("t", "value", marker=marker, size=size, **style)
     return drawn
 
 
@@ -206,23 +206,25 @@ def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
         plot.add_tools(HoverTool(renderers=shown, tooltips=tips, mode=mode, visible=False))
 
 
-def visible(panel: Panel) -> tuple[float, float]:
+def visible_range(panel: Panel) -> tuple[float, float]:
     """Bounds of the y axis, robust to single spikes and to the wide bands of the start."""
     lows, highs = list(panel.limits), list(panel.limits)
     for curve in panel.curves:
         values = curve.values[np.isfinite(curve.values)]
         if len(values):
-            low, high = np.percentile(values, _INNER)
+            low, high = np.percentile(values, _VALUE_PERCENTILES)
             lows, highs = [*lows, low], [*highs, high]
         for edge in curve.band or ():
-            middle = np.percentile(edge[np.isfinite(edge)], _MIDDLE) if np.isfinite(edge).any() else ()
+            middle = (
+                np.percentile(edge[np.isfinite(edge)], _BAND_PERCENTILES) if np.isfinite(edge).any() else ()
+            )
             lows, highs = [*lows, *middle], [*highs, *middle]
     if panel.logarithmic:
         low, high = max(min(lows), 1e-3), max(max(highs), 10.0)
         low, high = low / 1.5, 1.5 * high
         return low, high * float((high / low) ** _legend_room(panel))
     low, high = min(lows), max(highs)
-    room = _ROOM * max(high - low, 1e-6)
+    room = _MARGIN * max(high - low, 1e-6)
     low, high = (0.0 if panel.from_zero else low - room), high + room
     return low, high + _legend_room(panel) * (high - low)
 
@@ -230,10 +232,10 @@ def visible(panel: Panel) -> tuple[float, float]:
 def _legend_room(panel: Panel) -> float:
     """Height of the legend over the height of the curves' area."""
     rows = legend_rows(list(dict.fromkeys(plot_text(curve.label) for curve in panel.curves)))
-    return _LEGEND_ROW * rows / (_INSIDE - _LEGEND_ROW)
+    return _LEGEND_ROW * rows / (_FRAME_HEIGHT - _LEGEND_ROW)
 
 
-def extremes(columns: Sequence[FloatArray], limit: int) -> NDArray[np.intp]:
+def extreme_indices(columns: Sequence[FloatArray], limit: int) -> NDArray[np.intp]:
     """Indices of the samples to draw, at most ``limit``, of curves over the same increasing abscissa.
 
     The curves are cut into equal pieces. Each piece keeps the minimum and maximum of every curve, and one nan

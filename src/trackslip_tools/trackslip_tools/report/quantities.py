@@ -13,7 +13,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import FORCES, SOIL, TRUE_ODOMETRY, TRUE_SLIP, TRUE_SOIL
-from trackslip_tools.report.panel import BLUE, ORANGE, Form, within
+from trackslip_tools.report.panel import BLUE, ORANGE, Form, sigma_band
 
 Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one or many moments
 Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
@@ -34,11 +34,11 @@ class Quantity(NamedTuple):
     true_column: str
     scale: float = 1.0
 
-    def of(self, columns: Columns) -> tuple[FloatArray, Band]:
+    def values_with_band(self, columns: Columns) -> tuple[FloatArray, Band]:
         """Values (…) and ±2σ."""
         values = self.scale * np.asarray(columns[self.estimate])[..., self.column]
         variances = np.asarray(columns[self.covariance])[..., self.column, self.column]
-        return values, within(values, self.scale * np.sqrt(variances))
+        return values, sigma_band(values, self.scale * np.sqrt(variances))
 
 
 QUANTITIES = (
@@ -54,7 +54,7 @@ QUANTITIES = (
 )
 
 
-class Shown(NamedTuple):
+class FieldCurve(NamedTuple):
     """A message field shown as a curve."""
 
     field: str
@@ -63,47 +63,47 @@ class Shown(NamedTuple):
     form: Form = Form.LINE  # style where the colour identifies the run
     interval: bool = False  # bounds are the fields _lower, _upper; otherwise the variance field, if any
 
-    def of(self, columns: Columns, scale: float) -> tuple[FloatArray, Band | None]:
+    def values_with_band(self, columns: Columns, scale: float) -> tuple[FloatArray, Band | None]:
         """Values (…), and their interval if the message has one."""
         values = scale * np.asarray(columns[self.field])
         if self.interval:
             lower, upper = (scale * np.asarray(columns[f"{self.field}_{end}"]) for end in ("lower", "upper"))
             return values, (lower, upper)
         variance = columns.get(f"{self.field}_variance")
-        return values, None if variance is None else within(values, scale * np.sqrt(variance))
+        return values, None if variance is None else sigma_band(values, scale * np.sqrt(variance))
 
 
-class Shape(NamedTuple):
+class FieldPanel(NamedTuple):
     """A panel of fields of one topic."""
 
     title: str
     axis: str
     topic: str
-    fields: tuple[Shown, ...]
+    fields: tuple[FieldCurve, ...]
     truth: str = ""  # topic
     scale: float = 1.0
 
 
-def _sided(side: str) -> tuple[Shown, ...]:
+def _force_curves(side: str) -> tuple[FieldCurve, ...]:
     return (
-        Shown(f"{side}_thrust", "thrust"),
-        Shown(f"{side}_resistance", "resistance", ORANGE, Form.DASHED),
+        FieldCurve(f"{side}_thrust", "thrust"),
+        FieldCurve(f"{side}_resistance", "resistance", ORANGE, Form.DASHED),
     )
 
 
 _RESERVES = (
-    Shown("left_thrust_reserve", "left"),
-    Shown("right_thrust_reserve", "right", ORANGE, Form.DASHED),
+    FieldCurve("left_thrust_reserve", "left"),
+    FieldCurve("right_thrust_reserve", "right", ORANGE, Form.DASHED),
 )
 _RESERVE_TITLE = "Thrust reserve: 100 % unloaded, 0 at the limit of the soil"
-_RESISTANCES = (Shown("mu_r", "μ_r rolling"), Shown("mu_l", "μ_l lateral", ORANGE, Form.DASHED))
-_SHEAR = (Shown("shear_modulus", "K", interval=True),)
-_EFFORT = (Shown("max_tractive_effort", "F_max", interval=True),)
-SHAPES = (
-    Shape("Forces on the left track", "force, kN", FORCES, _sided("left"), scale=1e-3),
-    Shape("Forces on the right track", "force, kN", FORCES, _sided("right"), scale=1e-3),
-    Shape(_RESERVE_TITLE, "reserve, %", FORCES, _RESERVES, scale=PERCENT),
-    Shape("Resistance coefficients, ±2σ", "μ", SOIL, _RESISTANCES, TRUE_SOIL),
-    Shape("Shear deformation modulus, 5–95 %", "K, cm", SOIL, _SHEAR, TRUE_SOIL, 100.0),
-    Shape("Largest tractive effort of one track, 5–95 %", "F_max, kN", SOIL, _EFFORT, TRUE_SOIL, 1e-3),
+_RESISTANCES = (FieldCurve("mu_r", "μ_r rolling"), FieldCurve("mu_l", "μ_l lateral", ORANGE, Form.DASHED))
+_SHEAR = (FieldCurve("shear_modulus", "K", interval=True),)
+_EFFORT = (FieldCurve("max_tractive_effort", "F_max", interval=True),)
+FIELD_PANELS = (
+    FieldPanel("Forces on the left track", "force, kN", FORCES, _force_curves("left"), scale=1e-3),
+    FieldPanel("Forces on the right track", "force, kN", FORCES, _force_curves("right"), scale=1e-3),
+    FieldPanel(_RESERVE_TITLE, "reserve, %", FORCES, _RESERVES, scale=PERCENT),
+    FieldPanel("Resistance coefficients, ±2σ", "μ", SOIL, _RESISTANCES, TRUE_SOIL),
+    FieldPanel("Shear deformation modulus, 5–95 %", "K, cm", SOIL, _SHEAR, TRUE_SOIL, 100.0),
+    FieldPanel("Largest tractive effort of one track, 5–95 %", "F_max, kN", SOIL, _EFFORT, TRUE_SOIL, 1e-3),
 )

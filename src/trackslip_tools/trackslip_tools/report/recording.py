@@ -19,16 +19,16 @@ from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
-from trackslip_tools.report.spells import Spell
+from trackslip_tools.report.spells import StateInterval
 
 SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
 _SCANS = 60  # per bag, evenly spread: enough to show walls and the path of the box
 _CELL = 0.04  # m; grid in which one point per cell is drawn
 _MOST_RANGES = 5000  # per scan
-_FARTHEST = 1000.0  # m, largest range
+_MAX_RANGE = 1000.0  # m, largest range
 _MOST_TURNS = 100.0  # rad
-_FEW = 5  # too few messages for a rate
+_MIN_MESSAGES = 5  # fewest messages that give a rate
 _GAP_PERIODS, _LEAST_GAP = 5.0, 0.1  # a gap exceeds both this many usual periods and this many s
 
 
@@ -57,29 +57,29 @@ class Timing:
         return (len(self.times) - 1) / span if span > 0.0 else float("nan")
 
     @property
-    def regular(self) -> bool:
+    def is_regular(self) -> bool:
         """Whether the message rate is steady, so that lost messages can be detected."""
-        if len(self.times) < _FEW:
+        if len(self.times) < _MIN_MESSAGES:
             return False
         early, late = np.percentile(np.diff(self.times), (25.0, 75.0))
         return bool(self.period / 2.0 < early and late < 2.0 * self.period)
 
     @property
-    def lost(self) -> float:
+    def lost_share(self) -> float:
         """Share of lost messages, by the usual period; nan of an irregular topic."""
-        return max(0.0, 1.0 - self.rate * self.period) if self.regular else float("nan")
+        return max(0.0, 1.0 - self.rate * self.period) if self.is_regular else float("nan")
 
     @property
     def gaps(self) -> list[Gap]:
         """Gaps in the messages of a regular topic."""
-        if not self.regular:
+        if not self.is_regular:
             return []
         limit = max(_GAP_PERIODS * self.period, _LEAST_GAP)
         longer = np.flatnonzero(np.diff(self.times) > limit)
         return [Gap(float(self.times[i]), float(self.times[i + 1])) for i in longer]
 
     @property
-    def longest(self) -> float:
+    def longest_interval(self) -> float:
         """The longest interval between messages, s; nan with fewer than two messages."""
         return float(np.max(np.diff(self.times))) if len(self.times) > 1 else float("nan")
 
@@ -99,14 +99,14 @@ class Recording:
     numbers: dict[str, Numbers]  # topic → forces or soil in the bag
     laser: FloatArray | None  # (2,) position, m in odom
     points: FloatArray  # (n, 2) scanned points, m in odom
-    lights: dict[str, list[Spell]] = field(default_factory=dict)  # name → states recorded on /diagnostics
+    lights: dict[str, list[StateInterval]] = field(default_factory=dict)  # name → states on /diagnostics
     events: list[Event] = field(default_factory=list)  # changes of the diagnostics, ms
 
     def seconds(self, stamps_ns: IntArray) -> FloatArray:
         """Stamps as times in plots, s."""
         return _seconds(stamps_ns, self.zero_ns)
 
-    def counted_from(self, zero_ns: int) -> "Recording":
+    def with_origin(self, zero_ns: int) -> "Recording":
         """The same recording with another origin of times."""
         by_s = (self.zero_ns - zero_ns) * 1e-9
         return replace(
@@ -116,7 +116,9 @@ class Recording:
             stop_s=self.stop_s + by_s,
             timings={name: Timing(timing.times + by_s) for name, timing in self.timings.items()},
             numbers={name: replace(found, times=found.times + by_s) for name, found in self.numbers.items()},
-            lights={name: [spell.shifted(by_s) for spell in found] for name, found in self.lights.items()},
+            lights={
+                name: [interval.shift(by_s) for interval in found] for name, found in self.lights.items()
+            },
             events=[event._replace(time_ms=event.time_ms + 1e3 * by_s) for event in self.events],
         )
 
@@ -159,7 +161,7 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
         numbers={name: collector.numbers() for name, collector in numbers.items() if len(collector)},
         laser=laser,
         points=points,
-        lights=lights.spells(stop_s),
+        lights=lights.intervals(stop_s),
         events=lights.events,
     )
 
@@ -184,7 +186,7 @@ class _Scans:
             self._site = load_parameters(BoxNodeParameters, NODE, DEFAULT_FILES)
         first = (-self._seen - 1) % self._stride
         for k in range(first, len(table), self._stride):
-            self._clouds.append(_cloud(table.message(k), self._site.laser_yaw))
+            self._clouds.append(_scan_points(table.message(k), self._site.laser_yaw))
         self._seen += len(table)
 
     def view(self) -> tuple[FloatArray | None, FloatArray]:
@@ -196,13 +198,15 @@ class _Scans:
         return place, place + points[np.sort(first)]
 
 
-def _cloud(scan: Any, laser_yaw: float) -> FloatArray:
+def _scan_points(scan: Any, laser_yaw: float) -> FloatArray:
     """(n, 2) valid points of one scan in the axes of odom, m from the laser."""
     ranges = np.asarray(scan.ranges[:_MOST_RANGES], dtype=np.float64)
     with np.errstate(invalid="ignore"):
         angles = laser_yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     seen = (
-        (ranges > scan.range_min) & (ranges < min(scan.range_max, _FARTHEST)) & (np.abs(angles) < _MOST_TURNS)
+        (ranges > scan.range_min)
+        & (ranges < min(scan.range_max, _MAX_RANGE))
+        & (np.abs(angles) < _MOST_TURNS)
     )
     angles, ranges = angles[seen], ranges[seen]
     return np.asarray(ranges[:, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))

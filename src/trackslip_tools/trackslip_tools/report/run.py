@@ -17,7 +17,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.scoring import path_of
-from trackslip_tools.replay.series import in_order
+from trackslip_tools.replay.series import sort_by_stamp
 from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
@@ -37,7 +37,7 @@ class States:
     motion: IntArray  # (n,) value of ``Motion``
 
     @property
-    def moving(self) -> BoolArray:
+    def is_moving(self) -> BoolArray:
         """(n,) whether slips are defined: not at standstill."""
         return np.asarray(self.motion != Motion.STANDING)
 
@@ -57,13 +57,13 @@ class Run:
     @cached_property
     def states(self) -> States | None:
         """States of the filter; None if nothing could start it."""
-        estimates = in_order(self.details.estimates)
-        return _states(estimates) if len(estimates) else None
+        estimates = sort_by_stamp(self.details.estimates)
+        return _make_states(estimates) if len(estimates) else None
 
     @cached_property
     def smoothed_states(self) -> States | None:
         """States of the smoother; None if not requested, or if nothing could start it."""
-        return _states(self.smoothed) if self.smoothed is not None and len(self.smoothed) else None
+        return _make_states(self.smoothed) if self.smoothed is not None and len(self.smoothed) else None
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
@@ -77,7 +77,7 @@ class Run:
         return self.recording.numbers | replayed
 
 
-def recordings(runs: Sequence[Run]) -> list[Run]:
+def first_runs_of_bags(runs: Sequence[Run]) -> list[Run]:
     """The first run of each bag: contents of a bag are shown once."""
     first: dict[str, Run] = {}
     for run in runs:
@@ -85,12 +85,12 @@ def recordings(runs: Sequence[Run]) -> list[Run]:
     return list(first.values())
 
 
-def aligned(runs: Sequence[Run]) -> list[Run]:
+def align_runs(runs: Sequence[Run]) -> list[Run]:
     """Runs with times from the start of driving if they have several bags; unchanged for one bag."""
-    if len(recordings(runs)) == 1:
+    if len(first_runs_of_bags(runs)) == 1:
         return list(runs)
     zeros = {run.recording.path: _start_of_driving_ns(run) for run in reversed(runs)}
-    return [replace(run, recording=run.recording.counted_from(zeros[run.recording.path])) for run in runs]
+    return [replace(run, recording=run.recording.with_origin(zeros[run.recording.path])) for run in runs]
 
 
 def _start_of_driving_ns(run: Run) -> int:
@@ -102,7 +102,7 @@ def _start_of_driving_ns(run: Run) -> int:
     return int(first[0]) if len(first) else run.recording.zero_ns
 
 
-def _states(estimates: Rows) -> States:
+def _make_states(estimates: Rows) -> States:
     return States(
         path_of(estimates),
         estimates["pose_covariance"],

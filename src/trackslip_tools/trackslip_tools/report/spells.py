@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 
 
-class Spell(NamedTuple):
+class StateInterval(NamedTuple):
     """An interval of constant state."""
 
     start: float  # s from the bag's first message
@@ -20,23 +20,23 @@ class Spell(NamedTuple):
     state: int  # number within its enumeration
     text: str = ""
 
-    def shifted(self, by_s: float) -> "Spell":
+    def shift(self, by_s: float) -> "StateInterval":
         """The same interval, later by ``by_s``."""
         return self._replace(start=self.start + by_s, stop=self.stop + by_s)
 
 
-class Look(NamedTuple):
+class Style(NamedTuple):
     """Style of a state."""
 
     colour: str
-    word: str  # legend text
+    label: str  # legend text
 
 
 class Bar(NamedTuple):
     """An interval with its style."""
 
-    spell: Spell
-    look: Look
+    interval: StateInterval
+    style: Style
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,24 @@ class Strip:
     rows: dict[str, list[Bar]]  # from top to bottom
 
 
-def bars(found: Iterable[Spell], looks: Mapping[int, Look]) -> list[Bar]:
+def bars(found: Iterable[StateInterval], styles: Mapping[int, Style]) -> list[Bar]:
     """Intervals with the styles of their states."""
-    return [Bar(spell, looks[spell.state]) for spell in found]
+    return [Bar(interval, styles[interval.state]) for interval in found]
 
 
-def spells(times: FloatArray, states: NDArray[Any]) -> list[Spell]:
+def state_intervals(times: FloatArray, states: NDArray[Any]) -> list[StateInterval]:
     """Intervals of (n,) states at rising times; each lasts to the start of the next, the last to the end."""
     if not len(times):
         return []
     begins = np.concatenate(((0,), np.flatnonzero(np.diff(states)) + 1))
     starts = times[begins]
     stops = np.append(starts[1:], times[-1])
-    return [Spell(float(a), float(b), int(s)) for a, b, s in zip(starts, stops, states[begins], strict=True)]
+    return [
+        StateInterval(float(a), float(b), int(s))
+        for a, b, s in zip(starts, stops, states[begins], strict=True)
+    ]
 
 
-def total_duration(found: Iterable[Spell], state: int) -> float:
+def total_duration(found: Iterable[StateInterval], state: int) -> float:
     """Total duration of the intervals of a state, s."""
-    return sum(spell.stop - spell.start for spell in found if spell.state == state)
+    return sum(interval.stop - interval.start for interval in found if interval.state == state)

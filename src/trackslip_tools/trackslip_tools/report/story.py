@@ -16,113 +16,126 @@ from trackslip_estimation.slip.silence import silence_limit, usual_period
 from trackslip_estimation.soil.stall import TrackCondition
 from trackslip_tools.replay import troubles
 from trackslip_tools.replay.inputs import SPROCKETS
-from trackslip_tools.replay.troubles import WORDS
-from trackslip_tools.report.events import Event, Events, without_numbers
+from trackslip_tools.replay.troubles import TROUBLE_TEXTS
+from trackslip_tools.report.events import Event, Events, mask_numbers
 from trackslip_tools.report.lights import Level
-from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY, title_in
+from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY, plot_title
 from trackslip_tools.report.recording import Timing
-from trackslip_tools.report.run import Run, recordings
-from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, spells, total_duration
+from trackslip_tools.report.run import Run, first_runs_of_bags
+from trackslip_tools.report.spells import (
+    Bar,
+    StateInterval,
+    Strip,
+    Style,
+    bars,
+    state_intervals,
+    total_duration,
+)
 
-_THERE, _MISSING = Look(BLUE, "messages"), Look(ORANGE, "missing")
-_CALM_S = 5.0  # s without a rejection that separate groups of rejections
-_MANY = 0.1  # share of a source's measurements; a larger rejected share is a warning
+_MESSAGES_STYLE, _GAP_STYLE = Style(BLUE, "messages"), Style(ORANGE, "missing")
+_GROUP_GAP_S = 5.0  # s without a rejection that separate groups of rejections
+_MAX_REJECTED_SHARE = 0.1  # share of a source's measurements; a larger rejected share is a warning
 _START_S, _END_S = 10.0, 3.0  # s at the ends of a recording in which nodes start and stop
 _FIRST_S = 5.0  # s after the first measurement in which nodes still start
-_LIGHTS = {
-    int(Level.OK): Look(GREEN, "ok"),
-    int(Level.WARN): Look(AMBER, "warning"),
-    int(Level.ERROR): Look(ORANGE, "error"),
-    int(Level.STALE): Look(PURPLE, "no data"),
-    int(Level.SILENT): Look(GREY, "silent"),
+_LIGHT_STYLES = {
+    int(Level.OK): Style(GREEN, "ok"),
+    int(Level.WARN): Style(AMBER, "warning"),
+    int(Level.ERROR): Style(ORANGE, "error"),
+    int(Level.STALE): Style(PURPLE, "no data"),
+    int(Level.SILENT): Style(GREY, "silent"),
 }
-_MOTIONS = {
-    int(Motion.UNKNOWN): Look(GRID, "unknown"),
-    int(Motion.STANDING): Look(GREY, "standing"),
-    int(Motion.STRAIGHT): Look(SKY, "straight"),
-    int(Motion.TURNING): Look(BLUE, "turning"),
+_MOTION_STYLES = {
+    int(Motion.UNKNOWN): Style(GRID, "unknown"),
+    int(Motion.STANDING): Style(GREY, "standing"),
+    int(Motion.STRAIGHT): Style(SKY, "straight"),
+    int(Motion.TURNING): Style(BLUE, "turning"),
 }
-_TROUBLES = {
-    int(TrackCondition.STALLED): Look(ORANGE, WORDS[TrackCondition.STALLED]),
-    int(TrackCondition.STUCK): Look(AMBER, WORDS[TrackCondition.STUCK]),
+_STUCK_TRACK_STYLES = {
+    int(TrackCondition.STALLED): Style(ORANGE, TROUBLE_TEXTS[TrackCondition.STALLED]),
+    int(TrackCondition.STUCK): Style(AMBER, TROUBLE_TEXTS[TrackCondition.STUCK]),
 }
-_ONE, _SEVERAL = 1, 2
-_EXPLAINED = {_ONE: Look(GREEN, "explained"), _SEVERAL: Look(AMBER, "explanations compete")}
-_LOST = 0
-_LOOK_OF_LOST = {_LOST: Look(PURPLE, "nothing accepted")}
+_ONE_EXPLANATION, _SEVERAL_EXPLANATIONS = 1, 2
+_EXPLANATION_STYLES = {
+    _ONE_EXPLANATION: Style(GREEN, "explained"),
+    _SEVERAL_EXPLANATIONS: Style(AMBER, "explanations compete"),
+}
+_LOST_STATE = 0
+_LOST_STYLES = {_LOST_STATE: Style(PURPLE, "nothing accepted")}
 
 
-def motion_spells(run: Run) -> list[Spell]:
+def motion_intervals(run: Run) -> list[StateInterval]:
     """Intervals of standstill, straight and turning motion: states of ``Motion``."""
     if run.states is None:
         return []
-    return spells(run.recording.seconds(run.states.path.stamps_ns), run.states.motion)
+    return state_intervals(run.recording.seconds(run.states.path.stamps_ns), run.states.motion)
 
 
-def trouble_spells(run: Run) -> dict[str, list[Spell]]:
+def stuck_track_intervals(run: Run) -> dict[str, list[StateInterval]]:
     """Side → intervals in which its track was in trouble: states of ``TrackCondition``."""
     soil = run.replay.soil
     if soil is None:
         return {}
-    return troubles.trouble_spells(run.recording.seconds(soil.forces["stamp_ns"]), soil.forces)
+    return troubles.stuck_track_intervals(run.recording.seconds(soil.forces["stamp_ns"]), soil.forces)
 
 
-def lost_spells(run: Run) -> dict[str, list[Spell]]:
+def loss_intervals(run: Run) -> dict[str, list[StateInterval]]:
     """Source of poses → intervals without an accepted fix, longer than its silence limit."""
     fixes, allowed = run.details.fixes, silence_limits(run)
-    found: dict[str, list[Spell]] = {}
+    found: dict[str, list[StateInterval]] = {}
     for number, source in enumerate(run.details.sources):
         own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
         times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
         if source in allowed and len(times):
-            ends = np.append(times[1:], max(measured_spell(run).stop, times[-1]))
+            ends = np.append(times[1:], max(measured_interval(run).stop, times[-1]))
             gaps = np.flatnonzero(ends - times > allowed[source])
-            found[source] = [Spell(float(times[k]), float(ends[k]), _LOST) for k in gaps]
+            found[source] = [StateInterval(float(times[k]), float(ends[k]), _LOST_STATE) for k in gaps]
     return {source: own for source, own in found.items() if own}
 
 
-def measured_spell(run: Run) -> Spell:
+def measured_interval(run: Run) -> StateInterval:
     """From the first to the last measurement of any source; a recording starts and stops outside of it."""
     timings = (run.recording.timings.get(name) for name in silence_limits(run))
     spans = [(timing.times[0], timing.times[-1]) for timing in timings if timing and len(timing.times)]
     if not spans:
-        return Spell(run.recording.start_s, run.recording.stop_s, 0)
-    return Spell(float(min(first for first, _ in spans)), float(max(last for _, last in spans)), 0)
+        return StateInterval(run.recording.start_s, run.recording.stop_s, 0)
+    return StateInterval(float(min(first for first, _ in spans)), float(max(last for _, last in spans)), 0)
 
 
-def explained_spells(run: Run) -> list[Spell]:
+def explanation_intervals(run: Run) -> list[StateInterval]:
     """Intervals with one explanation or several competing ones, with their texts."""
-    found: list[Spell] = []
+    found: list[StateInterval] = []
     group: list[CompetingExplanations] = []
     for one in run.details.explained:
-        if group and _kind(one) != _kind(group[0]):
-            found += _explained_spell(run, group, one.stamp_ns)
+        if group and _explanation_state(one) != _explanation_state(group[0]):
+            found += _explanation_interval(run, group, one.stamp_ns)
             group = []
         group.append(one)
-    return found + (_explained_spell(run, group, group[-1].stamp_ns) if group else [])
+    return found + (_explanation_interval(run, group, group[-1].stamp_ns) if group else [])
 
 
-def _kind(one: CompetingExplanations) -> tuple[int, str]:
+def _explanation_state(one: CompetingExplanations) -> tuple[int, str]:
     """State and text that distinguish one interval from the next, without numbers in the text."""
     if one.number_competing > 1:
-        return _SEVERAL, ""
-    return one.number_competing, without_numbers(one.explanations[0].text) if one.number_competing else ""
+        return _SEVERAL_EXPLANATIONS, ""
+    return one.number_competing, mask_numbers(one.explanations[0].text) if one.number_competing else ""
 
 
-def _explained_spell(run: Run, group: Sequence[CompetingExplanations], end_ns: int) -> list[Spell]:
+def _explanation_interval(
+    run: Run, group: Sequence[CompetingExplanations], end_ns: int
+) -> list[StateInterval]:
     """(1,) interval of a group, or (0,) without a contradiction; its text is that of the group's middle."""
     if not group[0].number_competing:
         return []
     start, stop = run.recording.seconds(np.array((group[0].stamp_ns, end_ns))).tolist()
     found = group[len(group) // 2].explanations
     text = sentence(found, stop - start) if len(found) > 1 else found[0].text
-    return [Spell(start, stop, _kind(group[0])[0], text)]
+    return [StateInterval(start, stop, _explanation_state(group[0])[0], text)]
 
 
-def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
+def stuck_tracks_text(found: Mapping[str, Sequence[StateInterval]]) -> str:
     """Trouble, track and total duration of each; empty without troubles."""
     reported = [
-        f"{WORDS[trouble]}: {side} track {seconds:.1f} s"
+        f"{TROUBLE_TEXTS[trouble]}: {side} track {seconds:.1f} s"
         for trouble in (TrackCondition.STALLED, TrackCondition.STUCK)
         for side, own in found.items()
         if (seconds := total_duration(own, trouble)) > 0.0
@@ -146,54 +159,60 @@ def strips(runs: Sequence[Run]) -> list[Strip]:
     """Strips of each run with motion, troubles and lost fixes; strips of each bag with its diagnostics."""
     found = []
     for run in runs:
-        rows = {"motion": bars(motion_spells(run), _MOTIONS)}
-        for side, own in trouble_spells(run).items():
-            rows[f"{side} track"] = bars(own, _TROUBLES)
-        rows |= {source: bars(own, _LOOK_OF_LOST) for source, own in lost_spells(run).items()}
-        rows |= {"explanations": bars(found_, _EXPLAINED)} if (found_ := explained_spells(run)) else {}
+        rows = {"motion": bars(motion_intervals(run), _MOTION_STYLES)}
+        for side, own in stuck_track_intervals(run).items():
+            rows[f"{side} track"] = bars(own, _STUCK_TRACK_STYLES)
+        rows |= {source: bars(own, _LOST_STYLES) for source, own in loss_intervals(run).items()}
+        rows |= (
+            {"explanations": bars(found_, _EXPLANATION_STYLES)}
+            if (found_ := explanation_intervals(run))
+            else {}
+        )
         if any(rows.values()):
-            found.append(Strip(title_in(runs, run, "Motion, tracks in trouble, lost fixes"), rows))
-    for run in recordings(runs):
-        rows = {name: bars(own, _LIGHTS) for name, own in run.recording.lights.items()}
+            found.append(Strip(plot_title(runs, run, "Motion, tracks in trouble, lost fixes"), rows))
+    for run in first_runs_of_bags(runs):
+        rows = {name: bars(own, _LIGHT_STYLES) for name, own in run.recording.lights.items()}
         if rows:
-            found.append(Strip(title_in(runs, run, "Lights of sensors and nodes"), rows))
+            found.append(Strip(plot_title(runs, run, "Lights of sensors and nodes"), rows))
     return found
 
 
 def message_strips(runs: Sequence[Run]) -> list[Strip]:
     """Strip of each bag with the times of messages and gaps, by topic."""
     found = []
-    for run in recordings(runs):
+    for run in first_runs_of_bags(runs):
         timings = {name: timing for name, timing in run.recording.timings.items() if len(timing.times)}
         rows = {name: _message_bars(timing) for name, timing in timings.items()}
-        found.append(Strip(title_in(runs, run, "Messages"), rows))
+        found.append(Strip(plot_title(runs, run, "Messages"), rows))
     return found
 
 
 def _message_bars(timing: Timing) -> list[Bar]:
     gaps = timing.gaps
     edges = [float(timing.times[0]), *(edge for gap in gaps for edge in gap), float(timing.times[-1])]
-    there = [Bar(Spell(a, b, 0), _THERE) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return there + [Bar(Spell(gap.start, gap.stop, 0), _MISSING) for gap in gaps]
+    there = [
+        Bar(StateInterval(a, b, 0), _MESSAGES_STYLE) for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return there + [Bar(StateInterval(gap.start, gap.stop, 0), _GAP_STYLE) for gap in gaps]
 
 
 def events_of(run: Run) -> list[Event]:
     """All events by time (ms); ``number`` is unused."""
     replayed = (
-        *_troubles(run),
-        *_fixes(run),
-        *_silences(run),
-        *_refusals(run),
-        *_explanations(run),
-        *_soils(run),
+        *_stuck_track_events(run),
+        *_lost_fix_events(run),
+        *_silence_events(run),
+        *_rejection_events(run),
+        *_explanation_events(run),
+        *_soil_events(run),
     )
-    found = [*replayed, *_without_rims(run)]
+    found = [*replayed, *_fold_start_and_stop(run)]
     return sorted(found, key=lambda event: event.time_ms)
 
 
-def _without_rims(run: Run) -> list[Event]:
+def _fold_start_and_stop(run: Run) -> list[Event]:
     """Events of diagnostics; those of starting or stopping nodes are combined into one line each."""
-    measured = measured_spell(run)
+    measured = measured_interval(run)
     first = 1e3 * max(_START_S, measured.start + _FIRST_S)
     last = 1e3 * min(run.recording.stop_s - _END_S, measured.stop)
     begin = [event for event in run.recording.events if event.time_ms < first]
@@ -207,61 +226,64 @@ def _without_rims(run: Run) -> list[Event]:
     return [*folded, *between]
 
 
-def _event(at_s: float, level: Level, text: str) -> Event:
+def _make_event(at_s: float, level: Level, text: str) -> Event:
     return Event(0, 1e3 * at_s, level, printable(text))
 
 
-def _troubles(run: Run) -> Iterator[Event]:
-    for side, own in trouble_spells(run).items():
-        for spell in own:
-            text = f"{side} track {WORDS[TrackCondition(spell.state)]} for {spell.stop - spell.start:.1f} s"
-            yield _event(spell.start, Level.WARN, text)
+def _stuck_track_events(run: Run) -> Iterator[Event]:
+    for side, own in stuck_track_intervals(run).items():
+        for interval in own:
+            lasted = f"for {interval.stop - interval.start:.1f} s"
+            text = f"{side} track {TROUBLE_TEXTS[TrackCondition(interval.state)]} {lasted}"
+            yield _make_event(interval.start, Level.WARN, text)
 
 
-def _fixes(run: Run) -> Iterator[Event]:
-    for source, own in lost_spells(run).items():
+def _lost_fix_events(run: Run) -> Iterator[Event]:
+    for source, own in loss_intervals(run).items():
         for start, stop, *_ in own:
             lasted = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
-            yield _event(start, Level.WARN, f"fix lost: nothing accepted of {source} {lasted}")
+            yield _make_event(start, Level.WARN, f"fix lost: nothing accepted of {source} {lasted}")
 
 
-def _silences(run: Run) -> Iterator[Event]:
+def _silence_events(run: Run) -> Iterator[Event]:
     """Silences of sources other than fixes, longer than their limits."""
     fixes = {run.details.sources[number] for number in np.unique(run.details.fixes["source"])}
     for source, limit in silence_limits(run).items():
         timing = run.recording.timings.get(source)
         for gap in timing.gaps if timing is not None and source not in fixes else ():
             if gap.stop - gap.start > limit:
-                yield _event(gap.start, Level.WARN, f"{source} silent for {gap.stop - gap.start:.1f} s")
+                yield _make_event(gap.start, Level.WARN, f"{source} silent for {gap.stop - gap.start:.1f} s")
 
 
-def _refusals(run: Run) -> Iterator[Event]:
+def _rejection_events(run: Run) -> Iterator[Event]:
     """Gate rejections, combined into groups."""
     reports = run.details.reports
     gated = reports[reports["outcome"] == Outcome.GATED]
     for number, source in enumerate(run.details.sources):
         times = np.sort(run.recording.seconds(gated["stamp_ns"][gated["source"] == number]))
         seen = run.recording.seconds(reports["stamp_ns"][reports["source"] == number])
-        for group in np.split(times, np.flatnonzero(np.diff(times) > _CALM_S) + 1):
+        for group in np.split(times, np.flatnonzero(np.diff(times) > _GROUP_GAP_S) + 1):
             if len(group):
                 text = f"gate refuses {len(group)} of {source} within {np.ptp(group):.1f} s"
-                near = (seen > group[0] - _CALM_S) & (seen < group[-1] + _CALM_S)
+                near = (seen > group[0] - _GROUP_GAP_S) & (seen < group[-1] + _GROUP_GAP_S)
                 share = len(group) / max(int(near.sum()), 1)
-                yield _event(float(group[0]), Level.WARN if share > _MANY else Level.OK, text)
+                yield _make_event(
+                    float(group[0]), Level.WARN if share > _MAX_REJECTED_SHARE else Level.OK, text
+                )
 
 
-def _explanations(run: Run) -> Iterator[Event]:
+def _explanation_events(run: Run) -> Iterator[Event]:
     """Competing explanations, and events that explain contradictions, without single outliers."""
-    for spell in explained_spells(run):
-        if spell.state == _SEVERAL:
-            yield _event(spell.start, Level.WARN, spell.text)
-    for h in run.replay.happened:
+    for interval in explanation_intervals(run):
+        if interval.state == _SEVERAL_EXPLANATIONS:
+            yield _make_event(interval.start, Level.WARN, interval.text)
+    for h in run.replay.accepted_events:
         if h.event is not Explaining.OUTLIER:
             level = Level.OK if h.event is Explaining.RECOVERED or h.begins else Level.WARN
-            yield _event(float(run.recording.seconds(np.array(h.stamp_ns))), level, h.text)
+            yield _make_event(float(run.recording.seconds(np.array(h.stamp_ns))), level, h.text)
 
 
-def _soils(run: Run) -> list[Event]:
+def _soil_events(run: Run) -> list[Event]:
     """Identified soils."""
     numbers = run.numbers.get(SOIL)
     if numbers is None:
@@ -269,5 +291,5 @@ def _soils(run: Run) -> list[Event]:
     events = Events()
     for k, at_s in enumerate(numbers.times.tolist()):
         classes = {name: float(p[k]) for name, p in numbers.classes.items() if np.isfinite(p[k])}
-        events.see_soil(classes, at_s, 1e3 * at_s)
+        events.add_soil_change(classes, at_s, 1e3 * at_s)
     return list(events.kept)

@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 from trackslip_common.parameters import Parameters, flat_fields, to_flat
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_tools.report.events import MOST, Event
+from trackslip_tools.report.events import MAX_EVENTS, Event
 from trackslip_tools.report.panel import COLOURS
 from trackslip_tools.report.run import Run
 
@@ -18,13 +18,14 @@ Row = tuple[str, ...]
 
 def run_facts(runs: Sequence[Run]) -> list[dict[str, str]]:
     """Facts of each run for the head of the page."""
-    return [_facts(run, COLOURS[index]) for index, run in enumerate(runs)]
+    return [_run_facts(run, COLOURS[index]) for index, run in enumerate(runs)]
 
 
 def event_rows(events: Sequence[Event]) -> list[Row]:
     """Level in lower case, time in s, text; only the first of very many events."""
     return [
-        (event.level.name.lower(), f"{1e-3 * event.time_ms:.1f} s", event.text) for event in events[:MOST]
+        (event.level.name.lower(), f"{1e-3 * event.time_ms:.1f} s", event.text)
+        for event in events[:MAX_EVENTS]
     ]
 
 
@@ -33,8 +34,12 @@ def topic_rows(run: Run) -> list[Row]:
     rows: list[Row] = []
     for name, timing in run.recording.timings.items():
         usual = 1.0 / timing.period if timing.period else math.nan
-        rates = (_number(usual, ".2f"), _number(timing.rate, ".2f"), _number(100.0 * timing.lost, ".2f"))
-        gaps = (str(len(timing.gaps)), _number(timing.longest, ".3f"))
+        rates = (
+            _number(usual, ".2f"),
+            _number(timing.rate, ".2f"),
+            _number(100.0 * timing.lost_share, ".2f"),
+        )
+        gaps = (str(len(timing.gaps)), _number(timing.longest_interval, ".3f"))
         rows.append((name, str(len(timing.times)), *rates, *gaps))
     return rows
 
@@ -71,12 +76,12 @@ def _rows(defaults: Parameters, of_runs: Sequence[Parameters], node: str) -> lis
     return rows
 
 
-def differing(rows: Sequence[Row]) -> list[Row]:
+def differing_rows(rows: Sequence[Row]) -> list[Row]:
     """Rows of parameters whose values differ, the default included."""
     return [row for row in rows if len(set(row[2:])) > 1]
 
 
-def _facts(run: Run, colour: str) -> dict[str, str]:
+def _run_facts(run: Run, colour: str) -> dict[str, str]:
     recording, p = run.recording, run.parameters
     since_start_s = (recording.zero_ns - recording.start_ns) * 1e-9
     looked_at = (recording.start_s + since_start_s, recording.stop_s + since_start_s)

@@ -15,12 +15,12 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import silence_limits, trouble_spells, troubles_text
+from trackslip_tools.report.story import silence_limits, stuck_track_intervals, stuck_tracks_text
 
 SECTION = "report"
 DEFAULT_FILES = ("report.yaml",)
 _WAITING = Outcome.WAITING.name.lower()
-_USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.is_rejected)
+_USED_OUTCOMES = tuple(outcome.name.lower() for outcome in Outcome if not outcome.is_rejected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,173 +80,177 @@ Check = Callable[[Run, VerdictLimits], Verdict]
 def verdicts(run: Run, limits: VerdictLimits) -> dict[str, Verdict]:
     """All checks by name, in the order of the table."""
     checks: dict[str, Check] = {
-        "Setup plausible": _setup,
-        "Bag": _intact,
-        "Replay = live": _same_as_live,
-        "Position": _position,
-        "Consistency of the pose": _pose_consistency,
-        "Consistency of the innovations": _innovation_consistency,
-        "Slip": _slip,
-        "Tracks": _tracks,
-        "Soil": _soil,
-        "Rates": _rates,
-        "Gaps": _gaps,
-        "Rejections": _rejections,
+        "Setup plausible": _check_setup,
+        "Bag": _check_bag,
+        "Replay = live": _check_live,
+        "Position": _check_position,
+        "Consistency of the pose": _check_pose_consistency,
+        "Consistency of the innovations": _check_innovations,
+        "Slip": _check_slip,
+        "Tracks": _check_tracks,
+        "Soil": _check_soil,
+        "Rates": _check_rates,
+        "Gaps": _check_gaps,
+        "Rejections": _check_rejections,
     }
     return {name: check(run, limits) for name, check in checks.items()}
 
 
-def _checked(good: bool, value: str, words: str) -> Verdict:
+def _make_verdict(good: bool, value: str, words: str) -> Verdict:
     return Verdict(State.OK if good else State.ATTENTION, value, words)
 
 
-def _unknown(words: str) -> Verdict:
+def _unchecked(words: str) -> Verdict:
     return Verdict(State.UNKNOWN, "–", words)
 
 
-def _setup(run: Run, _: VerdictLimits) -> Verdict:
+def _check_setup(run: Run, _: VerdictLimits) -> Verdict:
     """Check the setup: tracks, inertial unit and fixes agree."""
     setup = run.replay.setup
     if setup.causes:
         words = "; ".join(f"{cause.evidence}. {cause.remedy}" for cause in setup.causes)
-        return _checked(False, ", ".join(cause.cause for cause in setup.causes), f"{words}.")
+        return _make_verdict(False, ", ".join(cause.cause for cause in setup.causes), f"{words}.")
     if setup.open_questions:
-        return _checked(False, "undecided", f"{setup.headline}.")
+        return _make_verdict(False, "undecided", f"{setup.headline}.")
     if not setup.facts:
-        return _unknown("The drive is too short for the setup check.")
+        return _unchecked("The drive is too short for the setup check.")
     open_ones = "; ".join(f"{one.what}: {one.needed}" for one in setup.undetermined)
     agree = "Tracks, inertial unit and fixes agree."
-    return _checked(True, "no cause found", f"{agree} Not decided: {open_ones}." if open_ones else agree)
+    return _make_verdict(True, "no cause found", f"{agree} Not decided: {open_ones}." if open_ones else agree)
 
 
-def _intact(run: Run, _: VerdictLimits) -> Verdict:
+def _check_bag(run: Run, _: VerdictLimits) -> Verdict:
     if run.recording.damage:
-        return _checked(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
-    return _checked(True, "whole", "The recording was closed properly.")
+        return _make_verdict(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
+    return _make_verdict(True, "whole", "The recording was closed properly.")
 
 
-def _same_as_live(run: Run, _: VerdictLimits) -> Verdict:
+def _check_live(run: Run, _: VerdictLimits) -> Verdict:
     live, carried = run.replay.live, run.recording.parameters
     if run.filters.changes_inputs:
-        return _unknown("The estimator was given other measurements than live.")
+        return _unchecked("The estimator was given other measurements than live.")
     if live is None:
-        return _unknown("The bag holds no live estimates.")
+        return _unchecked("The bag holds no live estimates.")
     if any(carried.get(name, value) != value for name, value in to_flat(run.parameters).items()):
-        return _unknown("Replayed with other parameters than live.")
+        return _unchecked("Replayed with other parameters than live.")
     breaks = live.comparability.breaks
     if not live.compared and breaks:
-        return _unknown(f"Nothing can be compared: {breaks[0].why}.")
+        return _unchecked(f"Nothing can be compared: {breaks[0].why}.")
     soil = run.replay.soil.live if run.replay.soil is not None else None
     if soil is not None and live.matches and not soil.matches:
-        return _checked(False, f"{soil.compared} soil messages", "The soil estimator differed live.")
+        return _make_verdict(False, f"{soil.compared} soil messages", "The soil estimator differed live.")
     value = f"{live.compared} estimates, largest difference {live.largest_difference:.0e}"
     if live.matches:
         as_far_as = f", but not from where {breaks[0].why}" if breaks else ""
-        return _checked(True, value, f"The replay repeats what the machine computed{as_far_as}.")
+        return _make_verdict(True, value, f"The replay repeats what the machine computed{as_far_as}.")
     lost = f"{live.unmatched} unmatched, {live.lost_inputs} measurements and {live.lost_reports} reports lost"
-    return _checked(False, value, f"Replay and live estimates differ ({lost}).")
+    return _make_verdict(False, value, f"Replay and live estimates differ ({lost}).")
 
 
-def _position(run: Run, limits: VerdictLimits) -> Verdict:
+def _check_position(run: Run, limits: VerdictLimits) -> Verdict:
     if run.states is None:
         why = run.replay.no_estimate or "Nothing to start from: no fix, no initial pose"
-        return _checked(False, "no estimate", f"{why[0].upper()}{why[1:]}.")
+        return _make_verdict(False, "no estimate", f"{why[0].upper()}{why[1:]}.")
     own, encoders = (run.replay.scores.get(name) for name in ("filter", "dead_reckoning"))
     if own is None:
-        return _unknown("No reference in the bag (--reference names one).")
+        return _unchecked("No reference in the bag (--reference names one).")
     turned = "" if own.heading is None else f", {math.degrees(own.heading):.2f}°"
     value = f"{100.0 * own.position:.1f} cm{turned} RMSE"
     if run.replay.no_estimate:
-        return _checked(False, value, f"No heading: {run.replay.no_estimate}.")
+        return _make_verdict(False, value, f"No heading: {run.replay.no_estimate}.")
     if encoders is None:
-        return _checked(own.position <= limits.position, value, f"Against {run.replay.reference}.")
+        return _make_verdict(own.position <= limits.position, value, f"Against {run.replay.reference}.")
     words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * limits.position:g} cm, "
     good = own.position <= min(limits.position, limits.encoders * encoders.position)
-    return _checked(good, value, f"{words}and at most {100.0 * limits.encoders:g} % of the encoders' error.")
+    return _make_verdict(
+        good, value, f"{words}and at most {100.0 * limits.encoders:g} % of the encoders' error."
+    )
 
 
-def _pose_consistency(run: Run, limits: VerdictLimits) -> Verdict:
+def _check_pose_consistency(run: Run, limits: VerdictLimits) -> Verdict:
     pose, position = run.replay.nees, run.replay.nees_position
     if pose is not None:
-        return _consistency(limits, pose / 3.0, f"NEES {pose:.2f}, 3 expected", "Errors of the pose")
+        return _rate_consistency(limits, pose / 3.0, f"NEES {pose:.2f}, 3 expected", "Errors of the pose")
     if position is not None:
         value = f"NEES of the position {position:.2f}, 2 expected"
         what = "Errors of the position (the reference has no heading)"
-        return _consistency(limits, position / 2.0, value, what)
-    return _unknown("No reference in the bag.")
+        return _rate_consistency(limits, position / 2.0, value, what)
+    return _unchecked("No reference in the bag.")
 
 
-def _innovation_consistency(run: Run, limits: VerdictLimits) -> Verdict:
+def _check_innovations(run: Run, limits: VerdictLimits) -> Verdict:
     ratios = {source: found.mean_ratio for source, found in innovations_of(run).items()}
     ratios = {source: ratio for source, ratio in ratios.items() if math.isfinite(ratio)}
     if not ratios:
-        return _unknown("No measurement was compared with the estimate.")
+        return _unchecked("No measurement was compared with the estimate.")
     worst = max(ratios, key=lambda source: abs(math.log(max(ratios[source], 1e-9))))
     value = ", ".join(f"{source} {ratio:.2f}" for source, ratio in ratios.items())
-    return _consistency(limits, ratios[worst], f"NIS / dof: {value}", f"Innovations of {worst}")
+    return _rate_consistency(limits, ratios[worst], f"NIS / dof: {value}", f"Innovations of {worst}")
 
 
-def _consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> Verdict:
+def _rate_consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> Verdict:
     """Check consistency; ``ratio``: mean squared error over its variance in the estimate."""
     times = math.sqrt(ratio)
     words = f"{what} are {times:.2f} times what the estimate claims"
     if times > limits.most_consistency:
-        return _checked(False, value, f"{words}: it is overconfident.")
+        return _make_verdict(False, value, f"{words}: it is overconfident.")
     if times < limits.least_consistency:
         words = f"{words}: sensors are better than stated (harmless)"
         return Verdict(State.INFORMATION, value, f"{words}.")
-    return _checked(True, value, f"{words}.")
+    return _make_verdict(True, value, f"{words}.")
 
 
-def _slip(run: Run, limits: VerdictLimits) -> Verdict:
+def _check_slip(run: Run, limits: VerdictLimits) -> Verdict:
     if run.replay.slip_rmse is None:
-        return _unknown("The bag holds no true slips.")
+        return _unchecked("The bag holds no true slips.")
     words = f"Wanted: at most {PERCENT * limits.slip:g} %, left and right together, while they turn."
     good = run.replay.slip_rmse <= limits.slip
-    return _checked(good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
+    return _make_verdict(good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
 
 
-def _tracks(run: Run, _: VerdictLimits) -> Verdict:
+def _check_tracks(run: Run, _: VerdictLimits) -> Verdict:
     """Check that the tracks turned when commanded, without getting stuck."""
-    found = trouble_spells(run)
+    found = stuck_track_intervals(run)
     if not found:
-        return _unknown("Neither hydraulics nor estimates of forces: stuck tracks cannot be detected.")
-    troubles = troubles_text(found)
+        return _unchecked("Neither hydraulics nor estimates of forces: stuck tracks cannot be detected.")
+    troubles = stuck_tracks_text(found)
     if troubles:
-        return _checked(
+        return _make_verdict(
             False, troubles, "Stalled: commanded and under pressure, not turning. Stuck: spinning."
         )
-    return _checked(True, "none", "No track was stalled or getting stuck.")
+    return _make_verdict(True, "none", "No track was stalled or getting stuck.")
 
 
-def _soil(run: Run, _: VerdictLimits) -> Verdict:
+def _check_soil(run: Run, _: VerdictLimits) -> Verdict:
     numbers = run.numbers.get(SOIL)
     if numbers is None:
-        return _unknown("Neither hydraulics nor soil estimates in the bag.")
+        return _unchecked("Neither hydraulics nor soil estimates in the bag.")
     last = numbers.rows[-1]
     value = f"K {100.0 * last['shear_modulus']:.2f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
     if last["identifiable"]:
-        return _checked(True, value, "The driving determines K and F_max separately.")
+        return _make_verdict(True, value, "The driving determines K and F_max separately.")
     return Verdict(State.INFORMATION, value, f"Not separated yet: {numbers.reason or 'no reason given'}.")
 
 
-def _rates(run: Run, limits: VerdictLimits) -> Verdict:
-    timings = {name: run.recording.timings[name] for name in _sensors(run)}
-    lost = {name: timing.lost for name, timing in timings.items() if timing.regular}
+def _check_rates(run: Run, limits: VerdictLimits) -> Verdict:
+    timings = {name: run.recording.timings[name] for name in _sensor_topics(run)}
+    lost = {name: timing.lost_share for name, timing in timings.items() if timing.is_regular}
     if not lost:
-        return _checked(False, "no sensor", "No sensor topic holds messages.")
+        return _make_verdict(False, "no sensor", "No sensor topic holds messages.")
     value = f"{len(lost)} sensors, at worst {PERCENT * max(lost.values()):.1f} % lost"
     bad = [f"{name} {PERCENT * share:.1f} %" for name, share in lost.items() if share > limits.lost]
     words = f"Lost: {', '.join(bad)}." if bad else "Every sensor came at its usual rate."
-    return _checked(not bad, value, words)
+    return _make_verdict(not bad, value, words)
 
 
-def _gaps(run: Run, _: VerdictLimits) -> Verdict:
+def _check_gaps(run: Run, _: VerdictLimits) -> Verdict:
     """Check for silence beyond which a source counts as lost."""
     timings, allowed = run.recording.timings, silence_limits(run)
-    longest = {name: timings[name].longest for name in allowed if name in timings and timings[name].gaps}
+    longest = {
+        name: timings[name].longest_interval for name in allowed if name in timings and timings[name].gaps
+    }
     if not longest:
-        return _checked(True, "none", "No source of the estimator was silent.")
+        return _make_verdict(True, "none", "No source of the estimator was silent.")
     worst = max(longest, key=lambda name: longest[name] / allowed[name])
     bad = [name for name in longest if longest[name] > allowed[name]]
     words = (
@@ -254,40 +258,42 @@ def _gaps(run: Run, _: VerdictLimits) -> Verdict:
         if bad
         else "None was lost: silent for longer than its timeout and three periods."
     )
-    return _checked(not bad, f"{worst} {longest[worst]:.2f} s", words)
+    return _make_verdict(not bad, f"{worst} {longest[worst]:.2f} s", words)
 
 
-def _rejections(run: Run, limits: VerdictLimits) -> Verdict:
+def _check_rejections(run: Run, limits: VerdictLimits) -> Verdict:
     """Check the share of rejected measurements; those before the start do not count, if there is a start."""
-    refused = _refused(run)
-    early = sum(reasons.get(_WAITING, 0) for reasons in refused.values())
+    rejected = _rejection_counts(run)
+    early = sum(reasons.get(_WAITING, 0) for reasons in rejected.values())
     if run.states is None:
-        total = sum(sum(reasons.values()) for reasons in refused.values())
-        return _checked(False, f"all {total}", "No measurement was used: there is no estimate.")
+        total = sum(sum(reasons.values()) for reasons in rejected.values())
+        return _make_verdict(False, f"all {total}", "No measurement was used: there is no estimate.")
     shares = {
         source: count / max(run.replay.messages.get(source, count), 1)
-        for source, reasons in refused.items()
+        for source, reasons in rejected.items()
         if (count := sum(n for reason, n in reasons.items() if reason != _WAITING))
     }
     if not shares:
-        return _checked(True, *_all_used(run, early))
+        return _make_verdict(True, *_all_used_texts(run, early))
     value = ", ".join(f"{source} {PERCENT * share:.2f} %" for source, share in shares.items())
     good = max(shares.values()) <= limits.refused
-    return _checked(good, value, f"Share not used; {PERCENT * limits.refused:g} % of a source is normal.")
+    return _make_verdict(
+        good, value, f"Share not used; {PERCENT * limits.refused:g} % of a source is normal."
+    )
 
 
-def _refused(run: Run) -> dict[str, dict[str, int]]:
+def _rejection_counts(run: Run) -> dict[str, dict[str, int]]:
     """Source → reason → count of rejections in both estimators, without outcomes of used measurements."""
     found = run.replay.rejected.by_source()
     if run.replay.soil is not None:
         found = {**found, **run.replay.soil.rejected.by_source()}
     return {
-        source: {reason: n for reason, n in reasons.items() if reason not in _USED}
+        source: {reason: n for reason, n in reasons.items() if reason not in _USED_OUTCOMES}
         for source, reasons in found.items()
     }
 
 
-def _all_used(run: Run, early: int) -> tuple[str, str]:
+def _all_used_texts(run: Run, early: int) -> tuple[str, str]:
     """Value and words for a run without rejections since the start; ``early``: rejections before it."""
     given = "replayed " if run.filters.changes_inputs else ""
     hidden = sum(withheld.messages for withheld in run.replay.withheld)
@@ -297,6 +303,6 @@ def _all_used(run: Run, early: int) -> tuple[str, str]:
     return "none", f"Every {given}measurement was used.{beside}"
 
 
-def _sensors(run: Run) -> list[str]:
+def _sensor_topics(run: Run) -> list[str]:
     sources = {*SENSOR_TOPICS, *run.parameters.timeouts_ns()}
     return sorted(sources & run.recording.timings.keys())

@@ -25,11 +25,11 @@ from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.output import message_of
-from trackslip_tools.replay.run import own_reference
+from trackslip_tools.replay.run import default_reference
 from trackslip_tools.replay.series import Series
-from trackslip_tools.replay.settled import read_settled
+from trackslip_tools.replay.settled import read_sorted_inputs
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
-from trackslip_tools.terminal_text import wrapped
+from trackslip_tools.terminal_text import wrap_line
 
 Watch = Callable[[Smoothed], None]
 
@@ -73,7 +73,7 @@ class SmoothedBag:
             return "no estimate: nothing to start from (no fix of a pose source, no initial pose)"
         if self.reference is None:
             return f"{lines[0]}\nno reference in the bag: --reference TOPIC names one"
-        lines.append(wrapped(f"RMSE against {self.reference}; NEES is 3 if consistent"))
+        lines.append(wrap_line(f"RMSE against {self.reference}; NEES is 3 if consistent"))
         lines.append(f"  {'':<21}" + "".join(f"{name:>14}" for name in _COLUMNS))
         for name in ("filter", "smoother"):
             cells = ("–" if value is None else f"{value:.4f}" for value in getattr(self, name))
@@ -93,12 +93,12 @@ def smooth_bag(
     Raises:
         InputError: the bag lacks a required topic.
     """
-    reference = reference or own_reference(bag)
+    reference = reference or default_reference(bag)
     requested = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     detailed = frozenset(requested) - {TRUE_SLIP, TRUE_ODOMETRY}
-    measurements, series = read_settled(bag, p, filters, requested, detailed)
-    truth = _Truth(series, reference)
-    of_filter, of_smoother = (_Compared(p.vehicle.kinematics.tread) for _ in range(2))
+    measurements, series = read_sorted_inputs(bag, p, filters, requested, detailed)
+    truth = _TruthReader(series, reference)
+    of_filter, of_smoother = (_EstimateErrors(p.vehicle.kinematics.tread) for _ in range(2))
     count, stamps_ns = 0, [0, 0]
     for block in smoothed_blocks(measurements, p):
         if not len(block.smoothed):
@@ -108,7 +108,7 @@ def smooth_bag(
             int(block.smoothed["stamp_ns"][-1]),
         ]
         count += len(block.smoothed)
-        rows = truth.until(stamps_ns[1])
+        rows = truth.read_until(stamps_ns[1])
         of_filter.add(block.filtered, rows)
         of_smoother.add(block.smoothed, rows)
         watch(block)
@@ -126,14 +126,14 @@ def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[
     yield from smooth(log, p)
 
 
-class _Truth:
+class _TruthReader:
     """Series of truth and reference, returned piece by piece."""
 
     def __init__(self, series: dict[str, Series], reference: str | None) -> None:
         self._series = [series.get(topic or "") for topic in (TRUE_SLIP, TRUE_ODOMETRY, reference)]
         self._begin = [0, 0, 0]
 
-    def until(self, stamp_ns: int) -> list[Rows | None]:
+    def read_until(self, stamp_ns: int) -> list[Rows | None]:
         """Rows of true slips, true odometry and reference, from the end of the previous piece to a stamp."""
         found: list[Rows | None] = []
         for k, series in enumerate(self._series):
@@ -146,7 +146,7 @@ class _Truth:
         return found
 
 
-class _Compared:
+class _EstimateErrors:
     """Errors of one set of estimates against the truth."""
 
     def __init__(self, tread: float) -> None:

@@ -38,7 +38,7 @@ class Smoothed(NamedTuple):
     smoothed: Records  # from all measurements
 
 
-class _Begin(NamedTuple):
+class _BlockStart(NamedTuple):
     """Range of a block in the log, and the state at its start."""
 
     first: int
@@ -54,24 +54,24 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
     p = replace(p, filter="ekf")
     start, config = start_of_log(log, p, best_branch_script(log, p))
     begins = [
-        _Begin(b.first, b.first + len(b.states), _first_row(b.window))
+        _BlockStart(b.first, b.first + len(b.states), _first_entry(b.window))
         for b in run_blocks(log.rest, start, config)
     ]
     carried: Records | None = None  # smoothed first entry of the last block done
     ends: list[Records | None] = []
     for begin in reversed(begins):
         ends.append(carried)
-        block = _again(log, begin, config)
+        block = _recompute_block(log, begin, config)
         _smooth(block.window, carried, config)
         carried = block.window.best[:1].copy()
     for begin, end in zip(begins, reversed(ends), strict=True):
-        block = _again(log, begin, config)
+        block = _recompute_block(log, begin, config)
         filtered = _estimates(block.window, config)
         _smooth(block.window, end, config)
         yield Smoothed(filtered, _estimates(block.window, config))
 
 
-def _first_row(window: Window) -> Window:
+def _first_entry(window: Window) -> Window:
     """A window of the first entry only."""
     first = make_like(window, 2)
     first.status["played"] = window.status["begun"]
@@ -79,7 +79,7 @@ def _first_row(window: Window) -> Window:
     return first
 
 
-def _again(log: Log, begin: _Begin, config: Records) -> Block:
+def _recompute_block(log: Log, begin: _BlockStart, config: Records) -> Block:
     return next(run_blocks(log.rest[begin.first : begin.last], begin.start, config))
 
 

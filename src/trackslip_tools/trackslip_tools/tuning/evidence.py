@@ -15,14 +15,14 @@ from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.cli.outputs import make_folder, write_file
 from trackslip_tools.fleet.find import short_names
 from trackslip_tools.terminal_text import markdown_table
-from trackslip_tools.tuning.plan import changed, expanded
+from trackslip_tools.tuning.plan import change_parameters, matching_names
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import Tuning
 
 PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
 
 # First characters of each file: a later tuning replaces only files that begin so.
-BEGINNINGS = {
+FILE_PREFIXES = {
     PARAMETERS: "# Found by trackslip tune",
     TABLE: f"# What {PARAMETERS} rests on",
     NUMBERS: "{",
@@ -35,13 +35,13 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     Raises:
         InputError: the folder cannot be written.
     """
-    values = to_flat(changed(p, tuning.values))
-    found = {full: values[full] for tuned in tuning.values for full in expanded(p, tuned)}
-    text = f"{BEGINNINGS[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
+    values = to_flat(change_parameters(p, tuning.values))
+    found = {full: values[full] for tuned in tuning.values for full in matching_names(p, tuned)}
+    text = f"{FILE_PREFIXES[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(found)}}, sort_keys=False)
     make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
-    write_file("output", folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")
+    write_file("output", folder / TABLE, f"{FILE_PREFIXES[TABLE]}\n\n{table(tuning)}\n")
 
 
 def numbers(tuning: Tuning) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def table(tuning: Tuning) -> str:
     unseen = {fold.bag: fold.score for fold in tuning.folds}
     for bag, name in enumerate(short_names([Path(bag).resolve() for bag in tuning.bags])):
         stages = (("before", tuning.before[bag]), ("after", tuning.after[bag]), ("unseen", unseen.get(bag)))
-        rows += [[name, stage, *_cells(score, sources)] for stage, score in stages if score is not None]
+        rows += [[name, stage, *_score_cells(score, sources)] for stage, score in stages if score is not None]
     heading = ["bag", "", "ln likelihood", *(f"NIS {source}" for source in sources), "refused"]
     heading += ["position m", "heading rad", "NEES", "ln pose"]
     notes = (
@@ -102,7 +102,7 @@ def table(tuning: Tuning) -> str:
     return "\n".join(parts)
 
 
-def _cells(score: Score, sources: Sequence[str]) -> list[str]:
+def _score_cells(score: Score, sources: Sequence[str]) -> list[str]:
     nis = [_number(score.nis.get(source, math.nan), ".2f") for source in sources]
     errors = (_number(score.position, ".4f"), _number(score.heading, ".4f"), _number(score.nees, ".2f"))
     pose = _number(score.pose_log_likelihood, ".2f")

@@ -102,7 +102,7 @@ def read_plan(path: Path) -> Plan:
         )
     return Plan(
         from_flat(SearchSettings, tree, str(path)),
-        {str(name): _bounds(f"{path}: {name}", str(name), given) for name, given in requested.items()},
+        {str(name): _parse_bounds(f"{path}: {name}", str(name), given) for name, given in requested.items()},
     )
 
 
@@ -112,11 +112,11 @@ def value_of(p: SlipEstimatorParameters, name: str) -> float:
     Raises:
         InputError: there is no such source.
     """
-    value: float = to_flat(p)[expanded(p, name)[0]]
+    value: float = to_flat(p)[matching_names(p, name)[0]]
     return value
 
 
-def expanded(p: SlipEstimatorParameters, name: str) -> list[str]:
+def matching_names(p: SlipEstimatorParameters, name: str) -> list[str]:
     """The parameters that match a name of a tune file.
 
     Raises:
@@ -129,16 +129,16 @@ def expanded(p: SlipEstimatorParameters, name: str) -> list[str]:
     return found
 
 
-def changed(p: SlipEstimatorParameters, values: Mapping[str, float]) -> SlipEstimatorParameters:
+def change_parameters(p: SlipEstimatorParameters, values: Mapping[str, float]) -> SlipEstimatorParameters:
     """Parameters with some values replaced.
 
     Raises:
         InputError: a value is rejected, or there is no such source.
     """
-    return p.changed({full: value for name, value in values.items() for full in expanded(p, name)})
+    return p.changed({full: value for name, value in values.items() for full in matching_names(p, name)})
 
 
-def _numbers() -> dict[str, Spec]:
+def _tunable_parameters() -> dict[str, Spec]:
     """Dotted names of parameters that can be tuned; ``*`` stands for any source."""
     fields = [*flat_fields(SlipEstimatorParameters)]
     fields += [
@@ -147,8 +147,8 @@ def _numbers() -> dict[str, Spec]:
     return {name: spec for name, kind, spec in fields if kind is float and name != _AT_READING}
 
 
-def _bounds(where: str, name: str, given: object) -> Bounds:
-    numbers, known = _numbers(), re.sub(r"^sources\.[^.]+\.", "sources.*.", name)
+def _parse_bounds(where: str, name: str, given: object) -> Bounds:
+    numbers, known = _tunable_parameters(), re.sub(r"^sources\.[^.]+\.", "sources.*.", name)
     if known not in numbers:
         raise InputError(f"{where}: not to be tuned{suggestion(known, numbers)}")
     if not isinstance(given, Mapping):

@@ -19,11 +19,11 @@ from trackslip_common.errors import InputError
 Costs = Callable[[FloatArray], FloatArray]
 """(k, d) points → (k,) costs."""
 
-_EVOLUTION = 0.7  # share of the points used by differential evolution
+_EVOLUTION_SHARE = 0.7  # share of the points used by differential evolution
 _MEMBERS = 8  # size of a generation, per dimension
 _GENERATIONS = 5  # least number of generations; their size is reduced if necessary
-_SIMPLEX = 0.05  # edge of the first simplex
-_SMALL = 1e-4  # negligible difference of costs
+_SIMPLEX_EDGE = 0.05  # edge of the first simplex
+_COST_TOLERANCE = 1e-4  # negligible difference of costs
 
 
 def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArray:
@@ -33,11 +33,13 @@ def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArra
         InputError: ``costs`` raises it.
     """
     d = start.size
-    members = max(5, min(_MEMBERS * d, int(_EVOLUTION * points) // (_GENERATIONS + 1)))
+    members = max(5, min(_MEMBERS * d, int(_EVOLUTION_SHARE * points) // (_GENERATIONS + 1)))
     population = qmc.LatinHypercube(d, seed=seed).random(members)
     population[0] = start
-    evolved = _evolved(costs, population, max(int(_EVOLUTION * points) // members - 1, 1), seed)
-    corners = np.vstack([evolved.x, evolved.x + np.where(evolved.x > 0.5, -_SIMPLEX, _SIMPLEX) * np.eye(d)])
+    evolved = _evolve(costs, population, max(int(_EVOLUTION_SHARE * points) // members - 1, 1), seed)
+    corners = np.vstack(
+        [evolved.x, evolved.x + np.where(evolved.x > 0.5, -_SIMPLEX_EDGE, _SIMPLEX_EDGE) * np.eye(d)]
+    )
     polished = minimize(
         lambda x: costs(x[np.newaxis])[0],
         evolved.x,
@@ -47,14 +49,14 @@ def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArra
             "initial_simplex": corners,
             "maxfev": max(points - evolved.nfev * members, d + 1),  # scipy counts generations
             "xatol": 1e-3,
-            "fatol": _SMALL,
+            "fatol": _COST_TOLERANCE,
         },
     )
     best: FloatArray = polished.x if polished.fun < evolved.fun else evolved.x
     return best
 
 
-def _evolved(costs: Costs, population: FloatArray, generations: int, seed: int) -> OptimizeResult:
+def _evolve(costs: Costs, population: FloatArray, generations: int, seed: int) -> OptimizeResult:
     """Result of differential evolution from a (k, d) population."""
     try:
         return differential_evolution(
@@ -63,7 +65,7 @@ def _evolved(costs: Costs, population: FloatArray, generations: int, seed: int) 
             init=population,
             maxiter=generations,
             tol=0.0,
-            atol=_SMALL,
+            atol=_COST_TOLERANCE,
             seed=seed,
             polish=False,
             updating="deferred",

@@ -30,15 +30,15 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import SPROCKETS
 from trackslip_estimation.slip.window import Records
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.run import own_reference
+from trackslip_tools.replay.run import default_reference
 from trackslip_tools.replay.scoring import nees_of_each, path_of_series, score
-from trackslip_tools.replay.settled import read_settled
-from trackslip_tools.tuning.plan import changed
+from trackslip_tools.replay.settled import read_sorted_inputs
+from trackslip_tools.tuning.plan import change_parameters
 
-_WRONG = 1e-3  # ε
+_OUTLIER_SHARE = 1e-3  # ε
 _AREA, _RATES = 1e4, 2.0 * math.pi  # m², rad/s: range of outliers
 _DENSITIES = np.array((1.0, 1.0 / _RATES, 1.0 / _AREA, 1.0 / (_AREA * 2.0 * math.pi)))  # u, by m
-_SCORED = 2000  # samples of a reference, evenly spread, that are enough for the scores
+_MAX_REFERENCE_SAMPLES = 2000  # samples of a reference, evenly spread, that are enough for the scores
 
 
 Job = tuple[int, Mapping[str, float]]
@@ -80,13 +80,13 @@ class Task:
         Raises:
             InputError: a value is rejected.
         """
-        p = changed(self.p, values)
-        keep = self._around_reference()
-        result = _run(self.log, p, keep)
-        errors = self._errors(self.log.rest["stamp_ns"][keep], result)
+        p = change_parameters(self.p, values)
+        keep = self._is_near_reference()
+        result = _run_filter(self.log, p, keep)
+        errors = self._reference_errors(self.log.rest["stamp_ns"][keep], result)
         return Score(*result.innovations.score(), *errors)
 
-    def _around_reference(self) -> BoolArray:
+    def _is_near_reference(self) -> BoolArray:
         """(k,) whether an entry is a sprocket sample (with an estimate) next to a sample of the reference."""
         rest = self.log.rest
         keep = np.zeros(len(rest), dtype=np.bool_)
@@ -97,7 +97,7 @@ class Task:
             keep[published[np.clip(after - 1, 0, published.size - 1)]] = True
         return keep
 
-    def _errors(self, stamps_ns: IntArray, result: _Run) -> tuple[float, float, float, float]:
+    def _reference_errors(self, stamps_ns: IntArray, result: _Run) -> tuple[float, float, float, float]:
         """The last four fields of a ``Score``."""
         if self.reference is None or not len(stamps_ns):
             return math.nan, math.nan, math.nan, math.nan
@@ -130,13 +130,13 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
         InputError: no measurement can start the filter.
     """
     if reference is not None:
-        every = -(-len(reference.stamps_ns) // _SCORED) or 1
+        every = -(-len(reference.stamps_ns) // _MAX_REFERENCE_SAMPLES) or 1
         R = None if reference.covariances is None else reference.covariances[::every]
         reference = Path(reference.stamps_ns[::every], reference.poses[::every], R)
     return Task(name, make_log(arrivals, p), p, reference)
 
 
-def _run(log: Log, p: SlipEstimatorParameters, keep: BoolArray) -> _Run:
+def _run_filter(log: Log, p: SlipEstimatorParameters, keep: BoolArray) -> _Run:
     """Innovations of one run over a log, and the poses after the entries to ``keep`` (k,)."""
     innovations = _Innovations(list(p.timeouts_ns()))
     means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
@@ -155,16 +155,18 @@ class _Innovations:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
         self._likelihood, self._count = 0.0, 0
-        self._nis, self._dof, self._refused, self._seen = np.zeros((4, len(names)))
+        self._nis, self._dof, self._rejected, self._seen = np.zeros((4, len(names)))
 
     def add(self, sources: IntArray, updates: Records) -> None:
         """Add (k,) sources and (k,) updates."""
         measured = updates["dof"] > 0
         sources, found = sources[measured], updates[measured]
         dof, nis = found["dof"], found["nis"]
-        normal = -0.5 * (nis + found["log_determinant"] + dof * math.log(2.0 * math.pi)) + math.log1p(-_WRONG)
+        normal = -0.5 * (nis + found["log_determinant"] + dof * math.log(2.0 * math.pi)) + math.log1p(
+            -_OUTLIER_SHARE
+        )
         normal[np.isnan(normal)] = -np.inf
-        self._likelihood += float(np.sum(np.logaddexp(normal, np.log(_WRONG * _DENSITIES)[dof])))
+        self._likelihood += float(np.sum(np.logaddexp(normal, np.log(_OUTLIER_SHARE * _DENSITIES)[dof])))
         self._count += len(dof)
         named = sources < len(self._names)  # a manual pose has no source
         sources, nis, dof = sources[named], nis[named], dof[named]
@@ -172,14 +174,14 @@ class _Innovations:
         size = len(self._names)
         self._nis += np.bincount(sources[accepted], nis[accepted], size)
         self._dof += np.bincount(sources[accepted], dof[accepted], size)
-        self._refused += np.bincount(sources[~accepted], minlength=size)
+        self._rejected += np.bincount(sources[~accepted], minlength=size)
         self._seen += np.bincount(sources, minlength=size)
 
     def score(self) -> tuple[float, dict[str, float], dict[str, int]]:
         """The first three fields of a ``Score``."""
         seen = [k for k, count in enumerate(self._seen) if count]
         mean_nis = {self._names[k]: float(self._nis[k] / max(self._dof[k], 1.0)) for k in seen}
-        rejected = {self._names[k]: int(self._refused[k]) for k in seen}
+        rejected = {self._names[k]: int(self._rejected[k]) for k in seen}
         return self._likelihood / self._count if self._count else -math.inf, mean_nis, rejected
 
 
@@ -198,9 +200,11 @@ def read_task(
     Raises:
         InputError: the bag lacks a required topic.
     """
-    reference = reference or own_reference(bag)
+    reference = reference or default_reference(bag)
     requested = (reference,) if reference else ()
-    measurements, found = read_settled(bag, p, filters, requested, frozenset(requested) - {TRUE_ODOMETRY})
+    measurements, found = read_sorted_inputs(
+        bag, p, filters, requested, frozenset(requested) - {TRUE_ODOMETRY}
+    )
     series = found.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

@@ -14,10 +14,10 @@ from trackslip_tools.tuning.plan import POSE, POSITION, Plan, value_of
 from trackslip_tools.tuning.search import search
 from trackslip_tools.tuning.task import Job, Score, Task
 
-Work = Callable[[Sequence[Job]], Iterator[Score]]
+ScoreJobs = Callable[[Sequence[Job]], Iterator[Score]]
 """Scores of the jobs, in their order."""
 
-_WORST = 1e9  # cost without a score
+_WORST_COST = 1e9  # cost without a score
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,12 @@ class Tuner:
     """Runs searches that share their scores."""
 
     def __init__(
-        self, plan: Plan, tasks: Sequence[Task], work: Work, journal: Journal, advance: Callable[[int], None]
+        self,
+        plan: Plan,
+        tasks: Sequence[Task],
+        work: ScoreJobs,
+        journal: Journal,
+        advance: Callable[[int], None],
     ) -> None:
         """``advance`` gets the number of scored sets (new or from the journal) after each step."""
         self._plan, self._tasks, self._work, self._journal = plan, tasks, work, journal
@@ -108,4 +113,4 @@ def cost(objective: str, score: Score) -> float:
         value = math.log(max(score.position, 1e-9))
     else:
         value = -(score.pose_log_likelihood if objective == POSE else score.log_likelihood)
-    return value if math.isfinite(value) else _WORST
+    return value if math.isfinite(value) else _WORST_COST

@@ -27,7 +27,7 @@ from trackslip_sim.study.slip.kernels import RecordArray, Rows, lie
 from trackslip_sim.study.slip.parameters import NODE, Cell, StudyParameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
-from trackslip_tools.replay.scoring import MOVING
+from trackslip_tools.replay.scoring import MIN_MOVING_SPEED
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ def _body_rates(at: Truth) -> FloatArray:
 def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
     """(k,) whether machine (as in the scores of a replay) and both tracks move; else slips are undefined."""
     vehicle = estimator.vehicle.kinematics
-    on_ground = np.abs(at.v_x) + np.abs(at.yaw_rate) * vehicle.tread / 2.0 > MOVING
+    on_ground = np.abs(at.v_x) + np.abs(at.yaw_rate) * vehicle.tread / 2.0 > MIN_MOVING_SPEED
     slower = vehicle.rolling_radius * np.minimum(np.abs(at.left_speed), np.abs(at.right_speed))
-    moving: BoolArray = on_ground & (slower > MOVING)
+    moving: BoolArray = on_ground & (slower > MIN_MOVING_SPEED)
     return moving

@@ -35,7 +35,7 @@ from trackslip_sim.study.soil.trial import (
     read,
 )
 from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.scoring import MOVING
+from trackslip_tools.replay.scoring import MIN_MOVING_SPEED
 
 Interval = tuple[float, float]
 
@@ -133,7 +133,7 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
     true = np.column_stack((at.left_thrust, at.right_thrust))
     found = np.array([force.thrust for force in forces]).reshape(true.shape)
     tracks = vehicle.rolling_radius * np.column_stack((at.left_speed, at.right_speed))
-    runs, drives = np.abs(tracks) > MOVING, true * tracks > 0.0
+    runs, drives = np.abs(tracks) > MIN_MOVING_SPEED, true * tracks > 0.0
     return {
         "driving_error": _relative(found[runs & drives], true[runs & drives]),
         "braking_error": _relative(found[runs & ~drives], true[runs & ~drives]),
