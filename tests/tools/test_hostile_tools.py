@@ -121,11 +121,11 @@ def test_info_with_closed_output_ends_quietly(bag: Path) -> None:
 def test_poses_of_another_frame_are_refused_by_name(
     bag: Path, summary: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Fixes of the bag state no frame. If a frame is required, they are refused and counted, as live."""
+    """Fixes of the bag state no frame. If a frame is required, they are rejected and counted, as live."""
     setting = "slip_estimator.sources.box_pose.frame_id="
     every = summary(bag)
     assert every["messages"]["box_pose"] > 0
     assert summary(bag, "--set", f"{setting}''")["rejected"] == every["rejected"]
     refused = summary(bag, "--set", f"{setting}map", code=ExitCode.FAILED)
     assert refused["rejected"]["box_pose"] == {"of another frame": every["messages"]["box_pose"]}
-    assert "every fix was refused (box_pose: " in capsys.readouterr().out
+    assert "every fix was rejected (box_pose: " in capsys.readouterr().out

@@ -184,8 +184,8 @@ def test_no_estimate_states_why(bag: Path, reason: str, printed: Callable[[], st
 
 
 REFUSED = {
-    "every sample of the sprockets was refused (sprockets: 9 invalid)": ({"sprockets": 9}, {"sprockets": 9}),
-    "every fix was refused (mocap_pose: 5 invalid)": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 5}),
+    "every sample of the sprockets was rejected (sprockets: 9 invalid)": ({"sprockets": 9}, {"sprockets": 9}),
+    "every fix was rejected (mocap_pose: 5 invalid)": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 5}),
     "no sprockets after the first fix": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 4}),
     "no sprockets between --start and --stop": ({"mocap_pose": 5}, {}),
 }

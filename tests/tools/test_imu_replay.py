@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""IMUs of a bag: rotated by their mounting, and refused where they state that data are absent."""
+"""IMUs of a bag: rotated by their mounting, and rejected where they state that data are absent."""
 
 import math
 from pathlib import Path

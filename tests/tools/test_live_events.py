@@ -82,7 +82,7 @@ def test_rejection_by_the_gate_is_reported_when_it_begins() -> None:
     counts = [0, 0, 3, 5, 9, *[9] * 10, 10]
     for k, count in enumerate(counts):
         events.add_value_changes({"box_pose gated": str(count), "sprockets waiting": "7"}, float(k), 0.0)
-    assert reported(events) == ["gate refuses box_pose", "gate refuses box_pose"]
+    assert reported(events) == ["gate rejects box_pose", "gate rejects box_pose"]
 
 
 def test_learned_state_is_reported_once_when_observed() -> None:

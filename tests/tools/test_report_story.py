@@ -120,7 +120,7 @@ def test_lost_fixes_and_gated_fixes_are_events(emulated_run: Run) -> None:
     assert (start, stop) == pytest.approx((20.0, 26.0), abs=0.5)
     words = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
     assert f"fix lost: nothing accepted of box_pose {words}" in reported
-    assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in reported)
+    assert any(text.startswith(f"gate rejects {lost.sum()} of box_pose within") for text in reported)
 
 
 def test_fixes_are_not_lost_after_the_last_measurement(emulated_run: Run) -> None:

@@ -92,7 +92,7 @@ def test_nis_is_of_accepted_measurements_and_rejected_ones_are_drawn(run: Run) -
     assert found.gated.sum() == 600
     (panel,) = (p for p in innovation_panels([consistent]) if p.title.startswith("box_pose: squared"))
     by_label = {curve.label: curve for curve in panel.curves}
-    rejected = by_label["refused"]
+    rejected = by_label["rejected"]
     assert rejected.form is Form.CROSSES
     np.testing.assert_allclose(rejected.values, 500.0 / 3.0)
     np.testing.assert_allclose(by_label["gate"].values, 21.1 / 3.0)

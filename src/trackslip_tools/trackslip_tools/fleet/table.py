@@ -58,7 +58,7 @@ COLUMNS: Mapping[str, Callable[[Entry], str]] = {
     "m": lambda entry: _number(entry.distance, 1),
     "RMSE cm": lambda entry: _rmse(entry.summary),
     "NEES/dof": lambda entry: _nees(entry.summary),
-    "refused": lambda entry: _rejected_count(entry.summary),
+    "rejected": lambda entry: _rejected_count(entry.summary),
     "soil": lambda entry: _soil(entry.summary),
     "exit": lambda entry: _EXIT_TEXTS[ExitCode(entry.exit_code)],
 }

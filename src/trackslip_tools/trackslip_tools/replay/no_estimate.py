@@ -48,7 +48,7 @@ def explain_missing_estimate(
     if not processed.input_counts[SPROCKETS]:
         return "no sprockets between --start and --stop"
     if _are_all_rejected(processed, [SPROCKETS]):
-        return f"every sample of the sprockets was refused ({_rejection_reasons(processed, [SPROCKETS])})"
+        return f"every sample of the sprockets was rejected ({_rejection_reasons(processed, [SPROCKETS])})"
     if p.start != "first_fix":
         return "no sprocket sample could start it"
     sources = nonempty_names(p.pose_sources)
@@ -61,7 +61,7 @@ def explain_missing_estimate(
         why = f"{', '.join(sorted(hidden))} is withheld" if hidden else f"nothing on {', '.join(sources)}"
         return f"no fix came: {why}{_other_pose_topics(bag, filters, sources)}"
     if _are_all_rejected(processed, came):
-        return f"every fix was refused ({_rejection_reasons(processed, came)})"
+        return f"every fix was rejected ({_rejection_reasons(processed, came)})"
     return "no sprockets after the first fix"
 
 

@@ -98,7 +98,7 @@ class Events:
             self._gated[source] = count
             if news > 0:
                 if now_s - self._rejected_s.get(source, -_CLEAR_S) >= _CLEAR_S:
-                    self.add(Level.WARN, f"gate refuses {source}", now_s, time_ms)
+                    self.add(Level.WARN, f"gate rejects {source}", now_s, time_ms)
                 self._rejected_s[source] = now_s
 
 

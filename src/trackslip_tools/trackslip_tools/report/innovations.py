@@ -99,7 +99,7 @@ def _nis_curves(innovations: Innovations) -> Iterator[Curve]:
     yield Curve("gate", ORANGE, innovations.times[order], gate, Form.DASHED)
     for label, chosen, form in (
         ("accepted", ~innovations.gated, Form.POINTS),
-        ("refused", innovations.gated, Form.CROSSES),
+        ("rejected", innovations.gated, Form.CROSSES),
     ):
         if chosen.any():
             colour = ORANGE if form is Form.CROSSES else BLUE

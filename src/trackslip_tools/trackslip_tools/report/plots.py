@@ -66,7 +66,7 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
 
 
 def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
-    """Plot of bars over time, the first row on top, with at most ``samples`` bars of each look."""
+    """Plot of bars over time, the first row on top, with at most ``samples`` bars of each style."""
     names = list(strip.rows)[::-1]
     plot = time_figure(strip.title, "", x_range, height=_STRIP_HEAD + _STRIP_ROW * len(names))
     by_style: dict[Style, list[tuple[int, StateInterval]]] = {}

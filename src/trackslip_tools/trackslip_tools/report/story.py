@@ -264,7 +264,7 @@ def _rejection_events(run: Run) -> Iterator[Event]:
         seen = run.recording.seconds(reports["stamp_ns"][reports["source"] == number])
         for group in np.split(times, np.flatnonzero(np.diff(times) > _GROUP_GAP_S) + 1):
             if len(group):
-                text = f"gate refuses {len(group)} of {source} within {np.ptp(group):.1f} s"
+                text = f"gate rejects {len(group)} of {source} within {np.ptp(group):.1f} s"
                 near = (seen > group[0] - _GROUP_GAP_S) & (seen < group[-1] + _GROUP_GAP_S)
                 share = len(group) / max(int(near.sum()), 1)
                 yield _make_event(

@@ -81,7 +81,7 @@ def table(tuning: Tuning) -> str:
     for bag, name in enumerate(short_names([Path(bag).resolve() for bag in tuning.bags])):
         stages = (("before", tuning.before[bag]), ("after", tuning.after[bag]), ("unseen", unseen.get(bag)))
         rows += [[name, stage, *_score_cells(score, sources)] for stage, score in stages if score is not None]
-    heading = ["bag", "", "ln likelihood", *(f"NIS {source}" for source in sources), "refused"]
+    heading = ["bag", "", "ln likelihood", *(f"NIS {source}" for source in sources), "rejected"]
     heading += ["position m", "heading rad", "NEES", "ln pose"]
     notes = (
         "ln likelihood: mean of a measurement; ln pose: of a pose of the reference. NIS: mean of a source's "
