@@ -35,7 +35,7 @@ class TurnCounter:
         self._has_wrapped = False
         self._last: _Reading | None = None
 
-    def unwrap_angles(self, stamp_ns: int, angle: float, speed: float = math.nan) -> float:
+    def unwrap(self, stamp_ns: int, angle: float, speed: float = math.nan) -> float:
         """The angle without its wraps; a value that is not finite is returned as it is, and ignored.
 
         ``speed``: in units of the angle per second; nan: unknown.

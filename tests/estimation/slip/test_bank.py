@@ -24,6 +24,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
 
 S = 1_000_000_000
+SENSOR_AND_FIX_RATES = [(20, FIXES), (100, 1)]  # Hz; between fixes of the second there are 200 measurements
 
 
 def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:
@@ -297,8 +298,12 @@ def test_impossible_slip_is_taken_for_a_wrong_heading() -> None:
 @pytest.mark.parametrize(
     "shown", [(0.0, 0.0), (0.0, 1.0), (1.0, -1.0)], ids=["both 0", "left 0", "right reversed"]
 )
-def test_estimate_follows_fixes_while_encoders_fail(shown: tuple[float, float]) -> None:
-    recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+@pytest.mark.parametrize(("sensor_rate", "fix_rate"), SENSOR_AND_FIX_RATES)
+def test_estimate_follows_fixes_while_encoders_fail(
+    shown: tuple[float, float], sensor_rate: int, fix_rate: int
+) -> None:
+    machine = Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03)
+    recording = drive(replace(machine, sensor_rate=sensor_rate, fix_rate=fix_rate))
     begin, end = 20.0, 30.0
     broken = [
         replace(m, left_speed=shown[0] * m.left_speed, right_speed=shown[1] * m.right_speed)
@@ -310,7 +315,7 @@ def test_estimate_follows_fixes_while_encoders_fail(shown: tuple[float, float]) 
     t = np.arange(error.size) * 40.0 / error.size
     assert {Event.FAILED, Event.SLIPPED} & set(events(estimator))
     assert error.max() < 1.5
-    assert error[(t > end + 3.0)].max() < 0.15
+    assert error[(t > end + 3.0)].max() < 0.2
     assert np.mean(nees[t > begin] > 13.8) < 0.1
 
 
@@ -361,9 +366,11 @@ def test_motion_is_unknown_while_counts_are_lost() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3])
-def test_failing_gyro_does_not_turn_the_estimate(seed: int) -> None:
+@pytest.mark.parametrize(("sensor_rate", "fix_rate"), SENSOR_AND_FIX_RATES)
+def test_failing_gyro_does_not_turn_the_estimate(seed: int, sensor_rate: int, fix_rate: int) -> None:
     """The gyro turns the heading before fixes contradict it; the estimate must not keep that error."""
-    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed)
+    recording = drive(replace(machine, sensor_rate=sensor_rate, fix_rate=fix_rate))
     broken = [
         replace(m, rate=-m.rate) if isinstance(m, YawRate) and 20.0 <= m.stamp_ns / S - 1.0 < 35.0 else m
         for m in recording.measurements

@@ -65,7 +65,7 @@ class Status(Record):
     played: int  # number of events of the script so far
     begun: int  # number of events of the script up to the first entry
     pooled: int  # entries of the pool in use while children are created
-    steps_left: int  # number of steps left for further children
+    time_left_ns: int  # that further children may repeat
     clock: Clock
 
 

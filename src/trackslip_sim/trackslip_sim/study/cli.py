@@ -79,8 +79,7 @@ def run(args: argparse.Namespace) -> int:
     running = study.run(args.cache, workers, fresh=args.fresh)
     rows = study.rows(list(iterate_with_bar(running, study.UNIT, total=len(study))))
     vehicle = load_vehicle(args.vehicle or DEFAULT_VEHICLE)
-    print(f"vehicle: {vehicle.name
-    print(f"vehicle: {vehicle}\n\n{format_for_terminal(study.markdown(rows))}", end="")
+    print(f"vehicle: {vehicle.name}\n\n{format_for_terminal(study.markdown(rows))}", end="")
     print(f"\n{len(study)} {study.UNIT} in {waiting_time_s():.1f} s")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])

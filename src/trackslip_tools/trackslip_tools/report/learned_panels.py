@@ -39,7 +39,7 @@ def _row(finding: LearnedQuantity) -> Row:
     form = finding.form
     if not finding.observed:
         return (form.label, "–", "–", form.unit, NOT_OBSERVED)
-    value, stddev = form.shown(finding.value), form.scale * finding.stddev
+    value, stddev = form.displayed_value(finding.value), form.scale * finding.stddev
     digits = decimals(stddev)
     low, high = max(value - SIGMAS * stddev, form.least), value + SIGMAS * stddev
     interval = f"{low:.{digits}f} … {high:.{digits}f}"
@@ -62,7 +62,7 @@ def _learned_curve(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
     if not found:
         return None
     form = found[0][1].form
-    values = np.array([form.shown(finding.value) for _, finding in found])
+    values = np.array([form.displayed_value(finding.value) for _, finding in found])
     sigmas = np.array([form.scale * finding.stddev for _, finding in found])
     times = run.recording.seconds(np.array([stamp_ns for stamp_ns, _ in found], np.int64))
     label, colour = curve_label(runs, run, "estimate"), curve_colour(runs, run, BLUE)

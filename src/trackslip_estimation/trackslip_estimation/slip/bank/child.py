@@ -89,14 +89,15 @@ def add_child(
 ) -> None:
     """Add to the pool a child of branch p: an event just before measurement k, or ``since`` the snapshot.
 
-    Nothing is added if the pool is full, or if too few steps are left for the children.
+    Nothing is added if the pool is full, or if the child would repeat more than the time that is left.
     """
     status, before, m = window.status[0], window.branches[p, k - 1], window.measurements[k]
     snapshot = before.snapshots[OLDER]
     first, h = snapshot.entry + 1 if since else k, status.pooled
-    if status.steps_left < k + 1 - first or h == POOL:
+    repeated_ns = m.stamp_ns - window.measurements[snapshot.entry if since else k].stamp_ns
+    if status.time_left_ns < repeated_ns or h == POOL:
         return
-    status.pooled, status.steps_left = h + 1, status.steps_left - (k + 1 - first)
+    status.pooled, status.time_left_ns = h + 1, status.time_left_ns - repeated_ns
     state, branch, update = window.pool_states[h], window.pool_branches[h], window.pool_updates[h]
     window.pool_branches[h] = before
     if since:

@@ -21,6 +21,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     correlated_penalty,
     has_recent_fix,
     make_earlier_children,
+    make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
 from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
@@ -96,12 +97,20 @@ def create_children(window: Window, k: int, c: Config) -> int:
         branch.weight = 0.0
         return 1
     status = window.status[0]
-    status.pooled, status.steps_left = copy_row_to_pool(window, k), c.bank.steps
-    for p in range(count):
-        if window.branches[p, k - 1].weight >= -c.bank.spawns and _needs_children(window, p, k, c):
-            _make_children(window, p, k, c)
-            window.pool_branches[p].cusum[:] = 0.0
+    status.pooled, status.time_left_ns = copy_row_to_pool(window, k), int(c.bank.child_time * 1e9)
+    parents = [p for p in range(count) if _is_parent(window, p, k, c)]
+    for p in parents:
+        _make_children(window, p, k, c)
+    for p in parents:  # last, as they take the most time
+        _make_sector_children(window, p, k, c)
+        window.pool_branches[p].cusum[:] = 0.0
     return int(status.pooled)
+
+
+@compiled
+def _is_parent(window: Window, s: int, k: int, c: Config) -> bool:
+    """Whether branch s was probable enough before measurement k to get children, and needs them."""
+    return bool(window.branches[s, k - 1].weight >= -c.bank.spawns and _needs_children(window, s, k, c))
 
 
 @compiled
@@ -219,17 +228,38 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
     late = _log_odds_of_late_stamps(m, before, c)
     if late > 0.0:
         add_child(window, p, k, LATE, source, 0, False, late, c)
-    shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if m.kind == POSE:
-        implausible = slip_range_penalty(before, c) > 0.0
         _make_fix_children(window, p, k, contradicts, c)
-        if contradicts or implausible or shows:
-            make_earlier_children(window, p, k, contradicts, implausible, c)
-        return
-    if contradicts:
+    elif contradicts:
         _make_angle_children(window, p, k, c)
-    if m.kind == VELOCITY and (contradicts or shows):
-        make_earlier_children(window, p, k, contradicts, False, c)
+    if _can_be_earlier(window, p, k, c):
+        make_earlier_children(window, p, k, contradicts, _is_slip_implausible(window, p, k, c), c)
+
+
+@compiled
+def _make_sector_children(window: Window, p: int, k: int, c: Config) -> None:
+    """Add the children of branch p with the heading or the swing angle in another sector of the circle."""
+    if _can_be_earlier(window, p, k, c):
+        implausible = _is_slip_implausible(window, p, k, c)
+        make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
+
+
+@compiled
+def _can_be_earlier(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether an event since the snapshot of branch p may explain measurement k."""
+    m = window.measurements[k]
+    fault = window.states[p, k - 1].fault[m.source]
+    if m.kind not in (POSE, VELOCITY) or fault == IS_SCATTERING:
+        return False
+    shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
+    return bool(shows or _is_contradicted(window, p, k, c) or _is_slip_implausible(window, p, k, c))
+
+
+@compiled
+def _is_slip_implausible(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether measurement k is a fix, and branch p has a slip outside its physical range before it."""
+    is_fix = window.measurements[k].kind == POSE
+    return bool(is_fix and slip_range_penalty(window.states[p, k - 1], c) > 0.0)
 
 
 @compiled

@@ -60,20 +60,12 @@ def make_earlier_children(
 ) -> None:
     """Add children of p at a fix or a velocity that ``contradicts`` it, or as its slip is ``implausible``."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    e, source, drove = (
-        window.branches[p, k],
-        m.source,
-        distance_since_snapshot(window, p, k) > c.bank.least_distance,
-    )
+    source, drove = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
     penalty = correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
         add_child_since_snapshot(window, p, k, SLIPPED, source, 0, -penalty, c)
-    is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
-    if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
-        return  # probably an outlier; an earlier event also affects the next measurement
-    if contradicts and is_free_to_swing(before, source, c):
-        for part in range(HEADINGS):
-            add_child_since_snapshot(window, p, k, SWUNG, source, part, -_LOG_SECTORS, c)
+    if not implausible and _is_probably_outlier(window, p, k, c):
+        return
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
     if is_place and drove and are_track_speeds_measured(before) and can_be_repetition(update, c):
         add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
@@ -86,9 +78,33 @@ def make_earlier_children(
         add_child_since_snapshot(window, p, k, NOISE, source, 0, 0.0, c)
     if _is_steep(before) and has_velocity_errors(c):
         add_child_since_snapshot(window, p, k, SLID, source, 0, 0.0, c)
+
+
+@compiled
+def make_sector_children(
+    window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
+) -> None:
+    """Add children of p with the heading or the swing angle in each sector; arguments as above."""
+    m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
+    source, drove = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
+    if not implausible and _is_probably_outlier(window, p, k, c):
+        return
+    if contradicts and is_free_to_swing(before, source, c):
+        for part in range(HEADINGS):
+            add_child_since_snapshot(window, p, k, SWUNG, source, part, -_LOG_SECTORS, c)
     if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):
+        penalty = correlated_penalty(window, p, k, c)
         for part in range(HEADINGS):
             add_child_since_snapshot(window, p, k, TURNED, source, part, -_LOG_SECTORS - penalty, c)
+
+
+@compiled
+def _is_probably_outlier(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether a first contradiction by a source is an outlier: an earlier event affects the next one too."""
+    is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0
+    is_calm = window.branches[p, k].cusum.max() <= c.bank.cusum_limit
+    share = window.states[p, k - 1].outlier_share[window.measurements[k].source]
+    return bool(is_first and is_calm and share > c.bank.often_outliers)
 
 
 @compiled
