@@ -35,12 +35,12 @@ from trackslip_estimation.terramechanics.turning import (
     moment_with_centrifugal_force,
     triangular_moment,
 )
-from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.study.plots import COLOURS, DASHES, STYLE, label, panels, save
-from trackslip_sim.study.slip.figures import runs
+from trackslip_sim.study.plots import COLOURS, DASHES, STYLE, label_axes, make_panels, save_figure
+from trackslip_sim.study.slip.figures import run_figures
 from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
@@ -88,18 +88,18 @@ def lateral(vehicle: Vehicle) -> float:
 
 def error_over_mu_l(mu: FloatArray, error: FloatArray, unit: str, title: str) -> Figure:
     """A figure with one error curve and the range of normal soils."""
-    figure, (axes,) = panels(1)
+    figure, (axes,) = make_panels(1)
     axes.axvspan(*NORMAL_MU_L, color="#f0ede4", zorder=0)
     axes.text(sum(NORMAL_MU_L) / 2.0, 0.06, "normal soils", transform=axes.get_xaxis_transform(), ha="center")
     axes.plot(mu, error, color=COLOURS[2])
-    label(axes, title, "coefficient of lateral resistance $\\mu_l$", f"error ({unit})")
+    label_axes(axes, title, "coefficient of lateral resistance $\\mu_l$", f"error ({unit})")
     axes.set_xlim(0.0, 1.5)
     return figure
 
 
 def figure_3_9(vehicle: Vehicle) -> Figure:
     """Errors of the approximate thrust-slip relation (3.12) against (3.3), in slip and in thrust."""
-    figure, (in_slip, in_thrust) = panels(2)
+    figure, (in_slip, in_thrust) = make_panels(2)
     length = vehicle.contact_length
     slip = np.geomspace(0.001, 1.0, 2000)
     for modulus, colour, dash in zip((0.006, 0.01, 0.025, 0.05), COLOURS, DASHES, strict=False):
@@ -110,8 +110,8 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
         # By (3.12) the thrust at this slip is exp(−K/(i l)) of the limit.
         approximate = np.exp(-modulus / (slip * length))
         in_thrust.plot(100.0 * slip, 100.0 * (approximate - exact) / exact, **line)
-    label(in_slip, "Fig. 3.9: slip, (3.3) against (3.12)", "slip (%)", "error of slip (% of (3.12))")
-    label(in_thrust, "The same for thrust at given slip", "slip (%)", "error of thrust (% of (3.3))")
+    label_axes(in_slip, "Fig. 3.9: slip, (3.3) against (3.12)", "slip (%)", "error of slip (% of (3.12))")
+    label_axes(in_thrust, "The same for thrust at given slip", "slip (%)", "error of thrust (% of (3.3))")
     for axes in (in_slip, in_thrust):
         axes.axvline(4.0, color="#777777", linewidth=0.6)
         axes.axhspan(-10.0, 10.0, color="#f0ede4", zorder=0)
@@ -124,7 +124,7 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
 
 def thrust_slip_curves(vehicle: Vehicle) -> Figure:
     """(3.3) for one PC05 track on all soils with K; dots: straight driving on level ground."""
-    figure, (table_6, table_2) = panels(2)
+    figure, (table_6, table_2) = make_panels(2)
     slip = np.linspace(-0.2, 0.6, 1601)
     soils = [soil for soil in load_soils().values() if soil.shear_modulus is not None]
     for axes, chosen in (
@@ -136,8 +136,8 @@ def thrust_slip_curves(vehicle: Vehicle) -> Figure:
         axes.axvline(0.0, color="#777777", linewidth=0.6)
         axes.legend(loc="lower right")
         axes.set_xlim(-20.0, 60.0)
-    label(table_6, "Thrust of one PC05 track, Table 6.1", "slip (%)", "thrust (kN)")
-    label(table_2, "Thrust of one PC05 track, Table 2.1", "slip (%)", "thrust (kN)")
+    label_axes(table_6, "Thrust of one PC05 track, Table 6.1", "slip (%)", "thrust (kN)")
+    label_axes(table_2, "Thrust of one PC05 track, Table 2.1", "slip (%)", "thrust (kN)")
     return figure
 
 
@@ -159,12 +159,12 @@ def draw_thrust(axes: Axes, vehicle: Vehicle, soil: Soil, slip: FloatArray, line
 
 def figure_6_1(vehicle: Vehicle) -> Figure:
     """Path and slip angle of the thesis' manoeuvre on the soils of Table 6.1."""
-    figure, (path, angle) = panels(2)
+    figure, (path, angle) = make_panels(2)
     for run, line in thesis_runs(vehicle):
         path.plot(run.x, run.y, **line)
         angle.plot(run.t, 1000.0 * run.slip_angle, **line)
-    label(path, "Fig. 6.1: path", "x (m)", "y (m)")
-    label(angle, "Slip angle α", "time (s)", "slip angle (mrad)")
+    label_axes(path, "Fig. 6.1: path", "x (m)", "y (m)")
+    label_axes(angle, "Slip angle α", "time (s)", "slip angle (mrad)")
     path.set_aspect("equal")
     path.legend(loc="lower left")
     return figure
@@ -172,12 +172,12 @@ def figure_6_1(vehicle: Vehicle) -> Figure:
 
 def figure_6_2(vehicle: Vehicle) -> Figure:
     """Slips of both tracks in the thesis' manoeuvre on the soils of Table 6.1."""
-    figure, (left, right) = panels(2)
+    figure, (left, right) = make_panels(2)
     for run, line in thesis_runs(vehicle):
         left.plot(run.t, 100.0 * run.left_slip, **line)
         right.plot(run.t, 100.0 * run.right_slip, **line)
-    label(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
-    label(right, "Slip of the right track", "time (s)", "slip (%)")
+    label_axes(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
+    label_axes(right, "Slip of the right track", "time (s)", "slip (%)")
     for axes in (left, right):  # the thesis' range; cuts a peak under 0.15 s at the start on clayey soil
         axes.set_ylim(-0.5, 8.0)
     right.legend(loc="upper center")
@@ -207,7 +207,7 @@ def draw_demo(output: Path) -> None:
     p = load_emulator_parameters({"duration": DEMO_DURATION, "scenario": DEMO_SCENARIO, "soil": DEMO_SOIL})
     estimates = GrowingRows(ESTIMATE)
     with tempfile.TemporaryDirectory() as folder:
-        record_drive(p, drive(p), path := Path(folder) / "demo")
+        record_drive(p, simulate_drive(p), path := Path(folder) / "demo")
         with open_bag(path) as bag:
             estimator = load_slip_parameters(bag_parameters(bag))
             collect = lambda part: estimates.add(part.estimates)  # noqa: E731
@@ -234,10 +234,10 @@ def main() -> None:
     vehicle = load_vehicle().whole()
     with style.context(STYLE):
         for name, make_figure in FIGURES.items():
-            save(make_figure(vehicle), output / f"{name}.png")
+            save_figure(make_figure(vehicle), output / f"{name}.png")
             print(output / f"{name}.png")
-        for name, figure in runs(load_study_parameters({}), load_slip_parameters()):
-            save(figure, output / f"{name}.png")
+        for name, figure in run_figures(load_study_parameters({}), load_slip_parameters()):
+            save_figure(figure, output / f"{name}.png")
             print(output / f"{name}.png")
 
 

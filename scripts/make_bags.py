@@ -29,7 +29,7 @@ from trackslip_common.config_files import node_defaults, parameters_text
 from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
 from trackslip_sim.devices.nmea_device import RECEIVER_RATE
-from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.replay.output import summary
@@ -99,10 +99,10 @@ def record(name: str, folder: Path) -> None:
     p = load_emulator_parameters(given)
     if recipe.topics:
         with tempfile.TemporaryDirectory() as beside:
-            record_drive(p, drive(p), Path(beside) / name)
+            record_drive(p, simulate_drive(p), Path(beside) / name)
             _shorten(Path(beside) / name, path, recipe)
     else:
-        record_drive(p, drive(p), path)
+        record_drive(p, simulate_drive(p), path)
     if recipe.kept < 1.0:
         (file,) = path.glob("*.mcap")
         content = file.read_bytes()

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from measurements.workbench import SOILS, trackslip
-from trackslip_sim.study.engine import table, words
+from trackslip_sim.study.engine import spaced_name, table_lines
 
 _SCENARIOS = ("hill", "ramp_up", "side_slope")
 _ALTITUDE = "slip_estimator.sources.gnss_pose.use_altitude"
 _COLUMNS = {
     "scenario": lambda row: f"`{row['scenario']}`",
-    "soil": lambda row: words(row["soil"]),
+    "soil": lambda row: spaced_name(row["soil"]),
     "position mm": lambda row: f"{1e3 * row['rmse']['filter']:.1f}",
     "NEES": lambda row: f"{row['nees']:.1f}",
     "flat: position mm": lambda row: f"{1e3 * row['flat']['rmse']['filter']:.0f}",
@@ -26,7 +26,7 @@ _COLUMNS = {
 
 def on_slopes(folder: Path) -> list[str]:
     """Errors with fixes of the laser box, for each scenario and soil."""
-    return table(_COLUMNS, list(_rows(folder)), text_columns=2)
+    return table_lines(_COLUMNS, list(_rows(folder)), text_columns=2)
 
 
 _WITH_RTK = {
@@ -40,7 +40,7 @@ _WITH_RTK = {
 
 def with_rtk(folder: Path) -> list[str]:
     """Errors of the 20 t machine with RTK fixes and a heading."""
-    return table(_WITH_RTK, list(_rows_with_rtk(folder)), text_columns=2)
+    return table_lines(_WITH_RTK, list(_rows_with_rtk(folder)), text_columns=2)
 
 
 def _rows_with_rtk(folder: Path) -> Iterator[dict[str, Any]]:

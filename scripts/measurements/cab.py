@@ -15,7 +15,7 @@ from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_estimation.terramechanics.strength import thrust_limit
-from trackslip_sim.study.engine import table, words
+from trackslip_sim.study.engine import spaced_name, table_lines
 
 _DRIVES = (("sand", 0), ("dry_clay", 5))
 _ANGLES = {"ahead": 0.0, "left": math.pi / 2.0, "back": math.pi, "right": -math.pi / 2.0}
@@ -30,7 +30,7 @@ _DIG = {
     "NEES": lambda row: f"{row['nees']:.1f}",
 }
 _STUDY = {
-    "soil": lambda row: words(row["soil"]),
+    "soil": lambda row: spaced_name(row["soil"]),
     "encoder": lambda row: row["encoder"],
     "σ_xy m": lambda row: f"{row['sigma_xy']:g}",
     "position ×": lambda row: f"{row['position_rmse'] / row['position_bound']:.2f}",
@@ -39,7 +39,7 @@ _STUDY = {
     "NEES": lambda row: f"{row['nees_pose']:.1f}",
 }
 _TURNED = {
-    "soil": lambda row: words(row["soil"]),
+    "soil": lambda row: spaced_name(row["soil"]),
     "cab": lambda row: row["looks"],
     "F_max known N": lambda row: _limit(row["known"], row["true"]),
     "F_max unknown N": lambda row: _limit(row["unknown"], row["true"]),
@@ -50,17 +50,17 @@ _TURNED = {
 
 def dig_cycles(folder: Path) -> list[str]:
     """``dig_cycles`` for 20 min, with the encoder of the swing and without."""
-    return table(_DIG, list(_dig_rows(folder)), text_columns=2)
+    return table_lines(_DIG, list(_dig_rows(folder)), text_columns=2)
 
 
 def dig_study(folder: Path) -> list[str]:
     """The same drive for 260 s in the study (fixes with white noise), beside the bound."""
-    return table(_STUDY, list(_study_rows(folder)), text_columns=2)
+    return table_lines(_STUDY, list(_study_rows(folder)), text_columns=2)
 
 
 def turned_cab(folder: Path) -> list[str]:
     """``field_trial`` with the cab at constant angles, known or unknown to the estimator."""
-    return table(_TURNED, list(_turned_rows(folder)), text_columns=2)
+    return table_lines(_TURNED, list(_turned_rows(folder)), text_columns=2)
 
 
 def _dig_rows(folder: Path) -> Iterator[dict[str, Any]]:
@@ -70,7 +70,7 @@ def _dig_rows(folder: Path) -> Iterator[dict[str, Any]]:
         trackslip(f"simulate --scenario dig_cycles {options}", folder)
         for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER)):
             found = trackslip(f"replay {bag} {option}", folder)
-            yield {"drive": f"{words(soil)}, {seed}", "encoder": encoder, **found}
+            yield {"drive": f"{spaced_name(soil)}, {seed}", "encoder": encoder, **found}
 
 
 def _study_rows(folder: Path) -> Iterator[dict[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from measurements.workbench import run, trackslip, write_yaml
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
-from trackslip_sim.study.engine import table
+from trackslip_sim.study.engine import table_lines
 
 _SIMULATE = "simulate --scenario thesis --soil sand --vehicle excavator_20t --duration 60"
 _REPLAY = "replay {}/drive --params gnss.yaml"
@@ -45,7 +45,7 @@ def wrong_numbers(folder: Path) -> list[str]:
     offset = float(stated.get("sources.heading.offset", -math.pi / 2.0)) + 0.02
     found = trackslip(f"{_REPLAY} --set slip_estimator.sources.heading.offset={offset}", folder)
     rows.append({"wrong": "direction of the antennas 0.02 rad off", **found})
-    return table(_COLUMNS, rows, text_columns=1)
+    return table_lines(_COLUMNS, rows, text_columns=1)
 
 
 def printed(folder: Path) -> list[str]:

@@ -15,7 +15,7 @@ import yaml
 
 from measurements.blocks import ROOT
 from measurements.workbench import NotMeasured, run, trackslip, write_yaml
-from trackslip_sim.study.engine import table
+from trackslip_sim.study.engine import table_lines
 
 
 class _Log(NamedTuple):
@@ -77,7 +77,7 @@ def with_geometry_alone(folder: Path) -> list[str]:
     Raises:
         NotMeasured: a log is missing.
     """
-    return table(_COLUMNS, list(_rows(folder)), text_columns=1)
+    return table_lines(_COLUMNS, list(_rows(folder)), text_columns=1)
 
 
 def _rows(folder: Path) -> Iterator[dict[str, Any]]:

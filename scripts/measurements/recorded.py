@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from measurements.blocks import ROOT
-from trackslip_sim.study.engine import NOTHING, table
+from trackslip_sim.study.engine import NO_VALUE, table_lines
 
 _RUNS = {
     "bag": lambda row: f"`{row['name']}`",
@@ -45,14 +45,14 @@ def runs(_: Path) -> list[str]:
     """Results of ``trackslip replay`` for each bag; ``tests/bags/test_bags.py`` replays them."""
     bags = yaml.safe_load((ROOT / "bags/manifest.yaml").read_text(encoding="utf-8"))["bags"]
     rows = [{"name": name, "rmse": bag["replay"]["rmse"], **bag} for name, bag in bags.items()]
-    return table(_RUNS, rows, text_columns=1)
+    return table_lines(_RUNS, rows, text_columns=1)
 
 
 def study_ranges(_: Path) -> list[str]:
     """Smallest and largest values over soils and filters; errors as RMSE over bound."""
     cells = _rows_of(ROOT / "docs/study_table.md")
     keys = dict.fromkeys((row["truth"], row["σ_ω rad/s"], row["σ_xy m"]) for row in cells)
-    return table(
+    return table_lines(
         _STUDY,
         [
             _ranges([row for row in cells if (row["truth"], row["σ_ω rad/s"], row["σ_xy m"]) == key])
@@ -77,7 +77,7 @@ def slope_ranges(_: Path) -> list[str]:
         for chosen, where in ((climbs, ""), (_on_clay(cells), f", {_CANNOT_CLIMB}"))
         for name, (position, slips, nees) in names.items()
     ]
-    return table(_SLOPES, rows, text_columns=1)
+    return table_lines(_SLOPES, rows, text_columns=1)
 
 
 _IGNORING = ("flat: position ×", "in turns ×", "NEES")
@@ -119,6 +119,6 @@ def _ratio(cell: str) -> str:
 def _range(cells: Iterable[str]) -> str:
     texts = [found[0] for cell in cells if (found := re.match(r"[\d.]+", cell))]
     if not texts:
-        return NOTHING
+        return NO_VALUE
     low, high = min(texts, key=float), max(texts, key=float)
     return low if low == high else f"{low}–{high}"

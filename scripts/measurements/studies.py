@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from measurements.workbench import SOILS, trackslip
-from trackslip_sim.study.engine import table, words
+from trackslip_sim.study.engine import spaced_name, table_lines
 
 _TERRAINS = {"slope_15": "15° up", "slope_down_15": "15° down", "side_slope_15": "15° across", "hill": "hill"}
 _SLOPES = {
     "terrain": lambda row: _TERRAINS[row["terrain"]],
-    "soil": lambda row: words(row["soil"]),
+    "soil": lambda row: spaced_name(row["soil"]),
     "F_max %": lambda row: _error(row, "F_max"),
     "K %": lambda row: _error(row, "K"),
     "μ_r %": lambda row: _error(row, "mu_r"),
     "identifiable": lambda row: f"{row['identifiable']}/{row['seeds']}",
 }
 _DRAWN = {
-    "soil": lambda row: words(row["soil"]),
+    "soil": lambda row: spaced_name(row["soil"]),
     "σ_xy m": lambda row: f"{row['sigma_xy']:g}",
     "position mm (bound)": lambda row: pair(row, "position", 1e3, 1),
     "slip in turns % (bound)": lambda row: pair(row, "turning_slip", 100.0, 2),
@@ -26,7 +26,7 @@ _DRAWN = {
 }
 _MACHINES = {
     "machine": lambda row: f"`{row['vehicle']}`",
-    "soil": lambda row: words(row["soil"]),
+    "soil": lambda row: spaced_name(row["soil"]),
     "position mm (bound)": lambda row: pair(row, "position", 1e3, 1),
     "slip % (bound)": lambda row: pair(row, "slip", 100.0, 2),
     "NEES of pose": lambda row: f"{row['nees_pose']:.1f}",
@@ -36,13 +36,15 @@ _MACHINES = {
 def soil_on_slopes(folder: Path) -> list[str]:
     """Errors of the soil estimate on slopes of 15° and a hill, three runs per cell."""
     options = f"--scenario field_trial --terrain {' '.join(_TERRAINS)} --sigma-xy 0.01 --seeds 3"
-    return table(_SLOPES, trackslip(f"study --estimator soil --workers 1 {options}", folder), text_columns=2)
+    return table_lines(
+        _SLOPES, trackslip(f"study --estimator soil --workers 1 {options}", folder), text_columns=2
+    )
 
 
 def drawn_machines(folder: Path) -> list[str]:
     """Errors of drawn machines with nominal parameters, with fixes of 1 and 5 cm."""
     options = "--truth drawn --filter ekf --sigma-xy 0.01 0.05 --sigma-omega 0.01 --seeds 48"
-    return table(_DRAWN, trackslip(f"study --workers 1 {options}", folder), text_columns=1)
+    return table_lines(_DRAWN, trackslip(f"study --workers 1 {options}", folder), text_columns=1)
 
 
 def two_machines(folder: Path) -> list[str]:
@@ -53,7 +55,7 @@ def two_machines(folder: Path) -> list[str]:
         for vehicle in ("pc05", "excavator_20t")
         for row in trackslip(f"study --workers 1 --vehicle {vehicle} {options}", folder)
     ]
-    return table(_MACHINES, rows, text_columns=2)
+    return table_lines(_MACHINES, rows, text_columns=2)
 
 
 def _error(row: dict[str, Any], name: str) -> str:

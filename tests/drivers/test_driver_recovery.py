@@ -26,7 +26,7 @@ from trackslip_sim.devices.can_device import CanDevice
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 from trackslip_sim.devices.watson_device import WatsonDevice
-from trackslip_sim.machine.faulty_line import corrupt
+from trackslip_sim.machine.faulty_line import corrupt_bytes
 
 MS, S = 1_000_000, 1_000_000_000
 SICK = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
@@ -180,7 +180,7 @@ def test_no_wrong_telegram_passes_one_percent_of_corruption():
         payload = RawScan(random.integers(0, 1 << 13, count).astype(np.uint16), 0).payload()
         true.add(payload)
         now += 240 * MS
-        accepted += parser.feed(corrupt(make_telegram(payload, FROM_SENSOR), 0.01, random), now)
+        accepted += parser.feed(corrupt_bytes(make_telegram(payload, FROM_SENSOR), 0.01, random), now)
     telegrams = [event.payload for event in accepted if isinstance(event, Telegram)]
     assert len(telegrams) > 1000
     assert set(telegrams) <= true
@@ -193,7 +193,7 @@ def test_no_wrong_frame_passes_one_percent_of_corruption():
     device, decoder, outcome = can_device(), FrameDecoder(FRAMES, Tally()), Counter()
     for now in range(0, 100 * S, 10 * MS):
         for name, data in device.step(now):
-            spoilt = corrupt(data, 0.01, random)
+            spoilt = corrupt_bytes(data, 0.01, random)
             accepted = not isinstance(decoder.decode(name, spoilt, now), Rejection)
             outcome[accepted, spoilt == data] += 1
     assert outcome[True, False] == 0
@@ -211,7 +211,7 @@ def watson_outcome(rate, lines):
         now += 84 * MS
         data = device.step(now)
         true = [sample._replace(stamp_ns=0) for sample in clean.feed(data, now)]
-        for sample in stream.feed(corrupt(data, rate, random), now):
+        for sample in stream.feed(corrupt_bytes(data, rate, random), now):
             known = sample._replace(stamp_ns=0) in true
             right, wrong = right + known, wrong + (not known)
     return right, wrong, device.lines_emitted - right - wrong

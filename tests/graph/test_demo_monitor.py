@@ -26,7 +26,9 @@ def missing_of_sprockets(monitor, until):
     give_up = time.monotonic() + PATIENCE
     while True:
         monitor.spin_for(0.05)
-        found = {end for end in monitor.missing_ends({"can_driver", "slip_estimator"}) if "sprockets" in end}
+        found = {
+            end for end in monitor.missing_endpoints({"can_driver", "slip_estimator"}) if "sprockets" in end
+        }
         if until(found):
             return found
         assert time.monotonic() < give_up, found
@@ -90,7 +92,7 @@ class ForgetfulEmulator:
 @pytest.mark.parametrize("does_the_first", [True, False], ids=["done", "not done"])
 def test_lost_answer_of_a_lifecycle_node_is_requested_again(domain, monkeypatch, does_the_first):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    monkeypatch.setattr(remote_lifecycle, "_LOST", 0.5)
+    monkeypatch.setattr(remote_lifecycle, "_ANSWER_TIMEOUT", 0.5)
     join_graph()
     executor = SingleThreadedExecutor()
     spinning = threading.Thread(target=executor.spin)
@@ -99,7 +101,7 @@ def test_lost_answer_of_a_lifecycle_node_is_requested_again(domain, monkeypatch,
         executor.add_node(emulator.node)
         spinning.start()
         give_up = time.monotonic() + PATIENCE
-        while not monitor.lay_cables(0.1):
+        while not monitor.configure_emulator(0.1):
             assert time.monotonic() < give_up, emulator.asked
         assert emulator.asked == [Transition.TRANSITION_CONFIGURE] * (1 if does_the_first else 2)
     finally:

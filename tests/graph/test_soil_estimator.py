@@ -16,7 +16,7 @@ from trackslip_estimation.soil import records
 from trackslip_estimation.soil.records import Hydraulics, PoseWithCovariance
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
+from trackslip_sim.machine.hydraulics import InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
@@ -89,7 +89,7 @@ def inputs():
     segments = (Segment(2.0, 0.0, 0.0), Segment(4.0, 2.0, 2.0), Segment(4.0, 1.0, 2.2))
     truth = simulate(Scenario(name="test", soil="sand", segments=segments))
     p = load_soil_parameters()
-    return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, Sensing()))
+    return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
 
 
 def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observer, inputs):

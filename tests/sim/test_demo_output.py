@@ -10,7 +10,7 @@ import pytest
 from fixtures.patience import wait_for
 
 from trackslip_common.errors import InputError
-from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
+from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.output import DEMO, LOGS, Results, claim
 from trackslip_sim.demo.processes import Processes
 from trackslip_sim.demo.run import claimed_domain
@@ -53,7 +53,7 @@ def test_results_of_an_earlier_demo_are_replaced_and_other_files_kept(tmp_path):
 def test_every_log_of_a_demo_is_among_its_results(gnss):
     here = Path()
     options = DemoOptions(here, here, 1, 1.0, "sand", "thesis", "pc05", autostart=True, gnss=gnss)
-    assert {f"{node.executable}.log" for node in (*demo_nodes(options), LIVE)} <= set(LOGS)
+    assert {f"{node.executable}.log" for node in (*demo_nodes(options), LIVE_NODE)} <= set(LOGS)
 
 
 def test_two_demos_use_different_domains(monkeypatch):
@@ -140,14 +140,14 @@ def started(tmp_path, monkeypatch):
 
 
 def test_killed_node_is_reported(started, monkeypatch, capsys):
-    monkeypatch.setattr("trackslip_sim.demo.processes._GRACE", 0.1)
+    monkeypatch.setattr("trackslip_sim.demo.processes._KILL_DELAY", 0.1)
     started("deaf", "trap '' INT\necho up\nsleep 600 & wait\n").stop()
     assert capsys.readouterr().err == "deaf did not end within 0.1 s of being asked, and was killed\n"
 
 
 def test_second_ctrl_c_ends_a_node_that_lost_the_first(started, monkeypatch, capsys):
     """The first Ctrl-C can be lost: Python ignores exceptions in start-up hooks of the installation."""
-    monkeypatch.setattr("trackslip_sim.demo.processes._AGAIN", 0.1)
+    monkeypatch.setattr("trackslip_sim.demo.processes._SIGINT_PERIOD", 0.1)
     lose = """trap 'trap "exit 0" INT; echo lost' INT"""
     processes = started("late", f"{lose}\necho up\nwhile :; do sleep 0.05; done\n")
     processes.stop()

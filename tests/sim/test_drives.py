@@ -9,7 +9,7 @@ from fixtures.random_drives.drive import random_drive
 from fixtures.random_drives.main import missed_bars, parameters, row, scored
 from fixtures.random_drives.score import Score
 
-from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
+from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrate_twists
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_velocity_errors_have_the_size_that_is_drawn() -> None:
 
 def test_a_circle_closes() -> None:
     twists = np.tile((0.5, 0.0, 0.25), (1000, 1))
-    poses = integrated(twists, 2.0 * np.pi / 0.25 / 1000, np.array((1.0, 2.0, 0.0)))
+    poses = integrate_twists(twists, 2.0 * np.pi / 0.25 / 1000, np.array((1.0, 2.0, 0.0)))
     assert poses[-1] == pytest.approx((1.0, 2.0, 2.0 * np.pi), abs=1e-9)
 
 

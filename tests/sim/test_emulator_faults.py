@@ -12,7 +12,7 @@ from trackslip_common.errors import InputError
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import ERROR_FLAG
 from trackslip_sim.devices.pty_port import PtyPort
-from trackslip_sim.machine.excavator import EmulatedExcavator, drive
+from trackslip_sim.machine.excavator import EmulatedExcavator, simulate_drive
 from trackslip_sim.machine.faults import KINDS, Fault, parse_fault
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
@@ -25,7 +25,7 @@ PARAMETERS = dataclasses.replace(
     duration=30.0,
     lead_in=0.0,
 )
-TRUTH = drive(PARAMETERS)
+TRUTH = simulate_drive(PARAMETERS)
 GOOD = {"sensor": "sick", "kind": "glare", "start": 1.0, "duration": 2.0, "value": 0.5}
 
 

@@ -71,14 +71,14 @@ class Chain:
         return np.array(places).reshape(-1, 4), headings
 
     def _receive(self):
-        if self.faults.at("gnss", "power_cycle", self.now_ns):
+        if self.faults.active_fault("gnss", "power_cycle", self.now_ns):
             self._off = True
             return []
         if self._off:
             self._off = False
             self.device.power_cycle(self.now_ns)
         data = self._bad_line.transmit(self.device.step(self.now_ns), self.now_ns)
-        if self.faults.at("gnss", "unplug", self.now_ns):
+        if self.faults.active_fault("gnss", "unplug", self.now_ns):
             self.stream.reset()
             return []
         return self.stream.feed(data, self.now_ns) if data else []

@@ -22,12 +22,12 @@ from trackslip_sim.machine.message_columns import MessageColumns, set_fields, st
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.truth.record import KEPT, TruthWindow
+from trackslip_sim.truth.record import WINDOW_LENGTH, TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
 
 PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5, "gnss.device.rate": 10.0})
-SCENARIO = load_scenario("patches").stretched(4.0)
+SCENARIO = load_scenario("patches").with_duration(4.0)
 MS = 1_000_000
 WATSON = default_parameters(WatsonParameters, "watson_imu")
 
@@ -78,7 +78,7 @@ def test_simulation_in_pieces_writes_the_same_bag(
     recorded: list[tuple[str, int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("trackslip_sim.truth.simulate.PIECE", 0.7)
-    monkeypatch.setattr("trackslip_sim.truth.record.KEPT", 2.0)
+    monkeypatch.setattr("trackslip_sim.truth.record.WINDOW_LENGTH", 2.0)
     monkeypatch.setattr(offline, "_WRITE_NS", 1000 * MS)
     window = TruthWindow(simulate_in_pieces(SCENARIO), duration_of(SCENARIO, load_settings()))
     record_drive(PARAMETERS, window, tmp_path / "bag")
@@ -87,11 +87,11 @@ def test_simulation_in_pieces_writes_the_same_bag(
 
 
 def test_window_keeps_the_recent_past() -> None:
-    pieces = list(simulate_in_pieces(load_scenario("straight").stretched(130.0), mode="thesis"))
+    pieces = list(simulate_in_pieces(load_scenario("straight").with_duration(130.0), mode="thesis"))
     window = TruthWindow(iter(pieces), 130.0)
     assert not window.advance(59.0)
     assert window.advance(119.0)
-    assert window.truth.t[0] <= 119.0 - KEPT + 60.0
+    assert window.truth.t[0] <= 119.0 - WINDOW_LENGTH + 60.0
     assert window.truth.t[-1] == pytest.approx(120.0)
     assert window.advance(1000.0)
     assert not window.advance(1000.0)

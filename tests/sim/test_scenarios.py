@@ -70,12 +70,12 @@ def test_user_file_is_kept(tmp_path: Path) -> None:
 
 def test_stretching_repeats_or_cuts() -> None:
     scenario = Scenario(name="a", soil="sand", segments=(Segment(2.0, 1.0, 1.0), Segment(1.0, 0.0, 0.0)))
-    longer = scenario.stretched(7.5)
+    longer = scenario.with_duration(7.5)
     assert [s.duration for s in longer.segments] == [2.0, 1.0, 2.0, 1.0, 1.5]
-    assert scenario.stretched(0.5).segments == (Segment(0.5, 1.0, 1.0),)
+    assert scenario.with_duration(0.5).segments == (Segment(0.5, 1.0, 1.0),)
     assert longer.duration == pytest.approx(7.5)
     with pytest.raises(InputError, match=r"duration: -1.0 is refused; accepted: > 0 s"):
-        scenario.stretched(-1.0)
+        scenario.with_duration(-1.0)
 
 
 def test_commands_change_at_the_segments_ends() -> None:

@@ -40,7 +40,7 @@ S = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def truth() -> Truth:
-    return simulate(load_scenario("hill").stretched(80.0))
+    return simulate(load_scenario("hill").with_duration(80.0))
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def of_drive(
 
 
 def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
-    slope = simulate(load_scenario("side_slope").stretched(2.0))
+    slope = simulate(load_scenario("side_slope").with_duration(2.0))
     sensors = MachineSensors(TruthWindow((slope,), 2.0), PARAMETERS.noise, 7 * S, 1)
     sample = sensors.imu(5 * S)
     roll = math.radians(15.0)

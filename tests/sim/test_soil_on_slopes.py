@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from trackslip_sim.study.soil.score import run
+from trackslip_sim.study.soil.score import run_trial
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_sim.study.soil.trial import Trial, load_setting
 
@@ -17,7 +17,7 @@ def trial(terrain: str) -> Trial:
 
 @pytest.mark.parametrize("terrain", ["slope_15", "side_slope_15"])
 def test_soil_is_the_same_on_a_slope(terrain: str) -> None:
-    result = run(trial(terrain))
+    result = run_trial(trial(terrain))
     assert result.mu_r == pytest.approx(1.0, abs=0.08)
     assert result.limit == pytest.approx(1.0, abs=0.15)
     assert result.modulus == pytest.approx(1.0, abs=0.4)
@@ -29,14 +29,14 @@ def test_soil_is_the_same_on_a_slope(terrain: str) -> None:
 @pytest.mark.slow
 def test_dragged_track_keeps_the_strength() -> None:
     """The last turn downhill drags one track."""
-    result = run(Trial("sand", 0.01, 1, scenario="field_trial", terrain="slope_down_15"))
+    result = run_trial(Trial("sand", 0.01, 1, scenario="field_trial", terrain="slope_down_15"))
     assert result.limit == pytest.approx(1.0, abs=0.05)
     low, high = result.limit_interval
     assert low < 1.0 < high < 1.3
 
 
 def test_slope_without_attitude_is_taken_for_resistance() -> None:
-    result = run(trial("slope_15"), load_setting(slip={"use_attitude": False}))
+    result = run_trial(trial("slope_15"), load_setting(slip={"use_attitude": False}))
     assert result.mu_r > 1.8
 
 

@@ -14,8 +14,16 @@ from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
 from trackslip_sim.study.soil.results import ChangeRow, SoilRow, summary
-from trackslip_sim.study.soil.score import Result, change_of, run, steady_turns
-from trackslip_sim.study.soil.trial import START_NS, Setting, Trial, drive, estimates, load_setting, read
+from trackslip_sim.study.soil.score import Result, run_trial, soil_change, steady_turns
+from trackslip_sim.study.soil.trial import (
+    START_NS,
+    Setting,
+    Trial,
+    draw_readings,
+    load_setting,
+    simulate_trial,
+    soil_states,
+)
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import Truth
 
@@ -52,7 +60,7 @@ def driven(*segments: tuple[float, float, float], patches: tuple[Patch, ...] = (
     scenario = Scenario(
         name="test", soil="sand", segments=tuple(Segment(*s) for s in segments), patches=patches
     )
-    return drive(TRIAL, scenario)
+    return simulate_trial(TRIAL, scenario)
 
 
 # Inputs
@@ -60,25 +68,25 @@ def driven(*segments: tuple[float, float, float], patches: tuple[Patch, ...] = (
 
 def test_a_drawn_machine_is_another_one_at_each_seed() -> None:
     nominal, drawn, again, other = (
-        drive(replace(TRIAL, seed=seed, drawn=drawn))
+        simulate_trial(replace(TRIAL, seed=seed, drawn=drawn))
         for seed, drawn in ((3, False), (3, True), (3, True), (4, True))
     )
     np.testing.assert_array_equal(drawn.x, again.x)
-    assert drive(replace(TRIAL, seed=4)).x[-1] == nominal.x[-1]
+    assert simulate_trial(replace(TRIAL, seed=4)).x[-1] == nominal.x[-1]
     assert len({float(truth.x[-1]) for truth in (nominal, drawn, other)}) == 3
     assert drawn.x[-1] == pytest.approx(nominal.x[-1], rel=0.05)
 
 
 def test_drive_begins_at_standstill_and_has_the_requested_duration() -> None:
-    truth = drive(TRIAL)
+    truth = simulate_trial(TRIAL)
     assert truth.duration == pytest.approx(14.0, abs=0.01)
     moved = np.hypot(truth.x, truth.y)
     assert moved[truth.t < 4.0].max() < 1e-6 < 1.0 < moved[-1]
 
 
 def test_readings_are_the_truth_with_noise_and_offsets(setting: Setting) -> None:
-    truth = drive(TRIAL)
-    readings = read(TRIAL, truth, setting)
+    truth = simulate_trial(TRIAL)
+    readings = draw_readings(TRIAL, truth, setting)
     at = truth.interpolate(np.arange(0.0, truth.duration, 0.01))
     found = np.array([(r.left_pressure, r.right_pressure) for r in readings.pressures])
     noise = found - np.column_stack((at.left_pressure, at.right_pressure)) - readings.offsets
@@ -97,7 +105,7 @@ def test_readings_are_the_truth_with_noise_and_offsets(setting: Setting) -> None
 
 
 def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
-    found = run(TRIAL, setting)
+    found = run_trial(TRIAL, setting)
     assert (found.limit, found.mu_r) == pytest.approx((1.0, 1.0), abs=0.1)
     assert found.limit_interval[0] < 1.0 < found.limit_interval[1]
     assert 0.0 < found.driving_error < 0.05
@@ -105,7 +113,7 @@ def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
     assert 0.0 < found.moment_error < 0.1
     assert 0.0 < found.offset_residue < 5e3
     assert (found.into, math.isnan(found.recognised_after)) == ("", True)
-    last = list(estimates(TRIAL, drive(TRIAL)))[-1]
+    last = list(soil_states(TRIAL, simulate_trial(TRIAL)))[-1]
     assert last.classes["sand"] == found.probability
 
 
@@ -133,11 +141,11 @@ def test_a_border_is_noticed_when_the_right_class_is_certain() -> None:
     assert 3.0 < crossed < 7.0
     before = [state(0.0, sand=0.2, dry_clay=0.9), state(crossed - 0.1, sand=0.7, dry_clay=0.3)]
     after = [state(crossed + 1.0, sand=0.3, dry_clay=0.7), state(crossed + 2.0, sand=0.1, dry_clay=0.81)]
-    found = change_of([*before, *after, state(crossed + 3.0, sand=0.0, dry_clay=0.9)], truth)
+    found = soil_change([*before, *after, state(crossed + 3.0, sand=0.0, dry_clay=0.9)], truth)
     assert found["into"] == "dry_clay"
     assert found["recognised_after"] == pytest.approx(2.0, abs=0.02)
     assert found["wrong_before"] == pytest.approx(0.3)
-    assert change_of([*before, after[0]], truth)["recognised_after"] == math.inf
+    assert soil_change([*before, after[0]], truth)["recognised_after"] == math.inf
 
 
 def test_a_cell_has_medians_the_worst_and_counts() -> None:

@@ -13,7 +13,7 @@ import pytest
 from fixtures.commands import json_of
 
 from trackslip_sim.study.cache import Cache
-from trackslip_sim.study.engine import BEGINNING
+from trackslip_sim.study.engine import TABLE_HEADER
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.soil import study as soil_study
 from trackslip_sim.study.soil.parameters import load_soil_study_parameters
@@ -72,8 +72,8 @@ def test_command_writes_rows_and_tables(
     assert rows[4]["recognised_after"] is None  # never: JSON has no infinity
     shown, error = capsys.readouterr()
     whole = (tmp_path / "soil_table.md").read_text()
-    assert whole.startswith(f"{BEGINNING}\n")
-    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
+    assert whole.startswith(f"{TABLE_HEADER}\n")
+    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n")))
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""
     lines = [line for line in whole.splitlines() if line.startswith("|")]

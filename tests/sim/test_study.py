@@ -23,8 +23,8 @@ from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, smooth
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, POSE, STATE
 from trackslip_sim.study.slip.drive import make_drive
-from trackslip_sim.study.slip.evaluate import least, score, trace
-from trackslip_sim.study.slip.kernels import Rows, bound
+from trackslip_sim.study.slip.evaluate import least_variances, score, trace
+from trackslip_sim.study.slip.kernels import Rows, cramer_rao_bound
 from trackslip_sim.study.slip.parameters import (
     DRAWN,
     MATCHED,
@@ -33,7 +33,7 @@ from trackslip_sim.study.slip.parameters import (
     StudyParameters,
     load_study_parameters,
 )
-from trackslip_sim.study.slip.results import Row, Sums, mean_bounds, total
+from trackslip_sim.study.slip.results import Row, Sums, mean_bounds, sum_runs
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
 
 SEEDS = 8
@@ -75,7 +75,7 @@ def steady(drives: NDArray[np.void], p: SlipEstimatorParameters) -> FloatArray:
 
 
 def scored(setting: Setting, trial: Trial) -> Sums:
-    return score(setting, trial, least(setting, trial))
+    return score(setting, trial, least_variances(setting, trial))
 
 
 # Inputs of the filters
@@ -98,7 +98,7 @@ def test_filters_get_rounded_sprockets_and_the_truth_exact_ones(bench: Bench) ->
 
 def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
     p, _, drive = bench
-    setting, fixes, rates = bench.setting(cell(SHEAR)), drive.fixes, drive.rates
+    setting, fixes, rates = bench.setting(cell(SHEAR)), drive.is_fix, drive.is_rate
     trials = [make_trial(setting, seed) for seed in range(20)]
     of_fixes = np.concatenate(
         [t.rows.measurements["value"][fixes] - t.states[fixes, OF_POSE] for t in trials]
@@ -164,14 +164,14 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     spare = np.flatnonzero(np.diag(P) == 0.0)  # of absent sources
     P[spare, spare] = 1e-4
     states, expected = expected_bound(rows, x, P, config, {POSE: lambda x: x[OF_POSE]})
-    assert_same_bound(bound(rows, states, x, P, config)[-1], expected, 1e-5)
+    assert_same_bound(cramer_rao_bound(rows, states, x, P, config)[-1], expected, 1e-5)
 
 
 @pytest.mark.slow
 def test_kalman_filter_attains_the_bound_of_a_linear_problem(bench: Bench) -> None:
     """With a precise heading the matched truth is linear and Gaussian: RMSE, bound and P agree."""
     setting = bench._replace(p=replace(bench.p, sigma_heading=1e-6)).setting(cell(MATCHED))
-    sums = total(scored(setting, make_trial(setting, seed)) for seed in range(30))
+    sums = sum_runs(scored(setting, make_trial(setting, seed)) for seed in range(30))
     for columns in (slice(0, 2), slice(3, 5)):
         attained = np.sqrt(sums.squares[:, columns].mean() / sums.bounds[:, columns].mean())
         assert attained == pytest.approx(1.0, abs=0.12)
@@ -221,7 +221,7 @@ def test_wrong_measurement_noise_shows_in_the_nees(factor: float, outside: str, 
         return scored(setting, trial._replace(rows=trial.rows._replace(measurements=measurements)))
 
     low, high = mean_bounds(3, SEEDS)
-    nees = float(np.mean(total(map(misinformed, range(SEEDS))).nees[:, 0])) / SEEDS
+    nees = float(np.mean(sum_runs(map(misinformed, range(SEEDS))).nees[:, 0])) / SEEDS
     assert nees > high if outside == "above" else nees < low
 
 
@@ -275,8 +275,8 @@ def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrai
         bench.trial(replace(cell(SHEAR), terrain=terrain)).rows.measurements["acceleration"]
         for terrain in ("", "side_slope_15")
     )
-    assert np.isnan(plain[bench.drive.rates]).all()
-    felt = sloping[bench.drive.rates]
+    assert np.isnan(plain[bench.drive.is_rate]).all()
+    felt = sloping[bench.drive.is_rate]
     assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # on level ground
 
 

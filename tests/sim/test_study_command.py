@@ -15,10 +15,10 @@ import pytest
 from trackslip_common.compiling import DESK_TEXT
 from trackslip_estimation.slip import sources
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_sim.study.engine import BEGINNING
+from trackslip_sim.study.engine import TABLE_HEADER
 from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.evaluate import evaluate
-from trackslip_sim.study.slip.figures import on_terrain, runs
+from trackslip_sim.study.slip.figures import run_figures, terrain_figure
 from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
@@ -66,8 +66,8 @@ def test_command_writes_rows_table_and_figures(
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
     shown, error = capsys.readouterr()
     whole = (tmp_path / "study_table.md").read_text()
-    assert whole.startswith(f"{BEGINNING}\n")
-    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
+    assert whole.startswith(f"{TABLE_HEADER}\n")
+    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n")))
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error.removeprefix(f"{DESK_TEXT}\n") == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}
@@ -102,7 +102,7 @@ def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path)
     study.write([replace(on_hill, ignoring_turning_slip_rmse=2.0), still, _row()], tmp_path)
     written = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
     assert written == set(study.files()) == {"slope_table.md", "figures/study_slopes.png"}
-    figure = on_terrain([replace(on_hill, ignoring_turning_slip_rmse=2.0), still])
+    figure = terrain_figure([replace(on_hill, ignoring_turning_slip_rmse=2.0), still])
     drawn = [[float(y) for line in axes.lines[1:] for y in line.get_ydata()] for axes in figure.axes]
     np.testing.assert_equal(drawn, [[1.0, 6.0]] * 2 + [[1.0, 2.0], [math.nan] * 2] + [[1.0 / 3.0, 10.0]] * 2)
 
@@ -189,7 +189,7 @@ def _row(**values: Any) -> Row:
 
 def test_single_runs_are_drawn_under_each_condition_of_the_thesis() -> None:
     p = load_study_parameters({"scenario": "slalom", "duration": 5.0, "settling": 2.0, "soils": ["sand"]})
-    drawn = dict(runs(p, load_slip_parameters()))
+    drawn = dict(run_figures(p, load_slip_parameters()))
     assert list(drawn) == ["fig_6_3", "fig_6_5", "fig_6_7", "fig_6_9", "fig_6_11", "fig_6_13"]
     assert all(len(figure.axes) == 3 for figure in drawn.values())
 

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.sensors import MachineSensors, mounting_of
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.truth.record import TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import simulate
-from trackslip_sim.truth.swing import swing_to
+from trackslip_sim.truth.swing import swing_motion
 
 STEP = 1e-3
 CAB = load_vehicle("pc05_cab")
@@ -39,7 +39,7 @@ def test_swing_reaches_its_target_within_its_limits(
     state = np.zeros(3)
     for target in targets:
         count = round(wait / STEP)
-        swung = swing_to(np.full(count, target), (rate, acceleration, backlash), STEP, state)
+        swung = swing_motion(np.full(count, target), (rate, acceleration, backlash), STEP, state)
         assert np.abs(swung[:, 1]).max() <= rate + 1e-9
         assert np.abs(np.diff(swung[:, 0])).max() <= rate * STEP + 1e-9
         assert swung[-1, 0] == pytest.approx(target, abs=backlash / 2.0 + 1e-4)
@@ -48,8 +48,8 @@ def test_swing_reaches_its_target_within_its_limits(
 
 def test_backlash_moves_the_cab_late_when_it_turns_back() -> None:
     state = np.zeros(3)
-    there = swing_to(np.full(3000, 0.5), (1.0, 1.0, 0.01), STEP, state)
-    back = swing_to(np.full(200, 0.0), (1.0, 1.0, 0.01), STEP, state)
+    there = swing_motion(np.full(3000, 0.5), (1.0, 1.0, 0.01), STEP, state)
+    back = swing_motion(np.full(200, 0.0), (1.0, 1.0, 0.01), STEP, state)
     assert there[-1, 0] == pytest.approx(0.495, abs=1e-4)
     assert np.all(back[:140, 0] == there[-1, 0])  # a move of 0.01 rad at 1 rad/s² takes 0.14 s
     assert back[-1, 0] < there[-1, 0]
@@ -58,13 +58,13 @@ def test_backlash_moves_the_cab_late_when_it_turns_back() -> None:
 def test_pieces_of_a_swing_are_the_whole() -> None:
     targets = np.repeat([1.0, -2.0], 4000)
     limits, state = (0.9, 0.8, 0.004), np.zeros(3)
-    whole = swing_to(targets, limits, STEP, np.zeros(3))
-    pieces = [swing_to(part, limits, STEP, state) for part in np.split(targets, 5)]
+    whole = swing_motion(targets, limits, STEP, np.zeros(3))
+    pieces = [swing_motion(part, limits, STEP, state) for part in np.split(targets, 5)]
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
 
 
 def test_cab_facing_forward_equals_a_machine_without_a_cab() -> None:
-    scenario = load_scenario("thesis").stretched(3.0)
+    scenario = load_scenario("thesis").with_duration(3.0)
     upper = CAB.upper_structure
     with_cab, without = simulate(scenario, upper=upper), simulate(scenario)
     np.testing.assert_array_equal(with_cab.x, without.x)
@@ -81,7 +81,7 @@ def test_a_vehicle_without_a_cab_cannot_swing_it() -> None:
 def test_sensors_on_the_cab_turn_about_the_swing_axis() -> None:
     """The axis is fixed while the cab turns; the gyro measures both rotations."""
     p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab"})
-    truth = drive(p)
+    truth = simulate_drive(p)
     sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
     times = truth.t[::50]
     x, y, yaw = sensors.pose_at(times)
@@ -105,7 +105,7 @@ def test_sensors_on_the_cab_turn_about_the_swing_axis() -> None:
 
 def test_the_encoder_reads_within_half_a_turn() -> None:
     p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab", "duration": 50.0})
-    truth = drive(p)
+    truth = simulate_drive(p)
     sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
     positions = [sensors.swing(round(t * 1e9)).position for t in truth.t[::200]]
     assert np.abs(positions).max() <= math.pi

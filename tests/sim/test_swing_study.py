@@ -26,7 +26,7 @@ from trackslip_estimation.slip.motion import Motion, Speeds
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, ON_SWING, POSE, STATE, YAW_RATE
 from trackslip_sim.machine.placement import upper_poses
-from trackslip_sim.study.slip.kernels import Rows, bound
+from trackslip_sim.study.slip.kernels import Rows, cramer_rao_bound
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters, load_study_parameters
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.slip.trial import make_trial
@@ -65,15 +65,15 @@ def test_fixes_and_gyro_are_those_of_the_cab(
     values, at = trial.rows.measurements["value"], drive.truth
     assert np.ptp(at.swing) > 3.0
     axis = np.array(with_encoder.vehicle.swing_axis)
-    by_machine, by_cab = (_site(poses, axis) for poses in (trial.states[:, OF_POSE], drive.seen))
+    by_machine, by_cab = (_site(poses, axis) for poses in (trial.states[:, OF_POSE], drive.sensor_poses))
     np.testing.assert_allclose(by_machine, by_cab, atol=1e-9)  # both give the same position of the axis
-    fixes = values[drive.fixes] - drive.seen[drive.fixes]
+    fixes = values[drive.is_fix] - drive.sensor_poses[drive.is_fix]
     assert np.std(fixes, axis=0) == pytest.approx((0.02, 0.02, p.sigma_heading), rel=0.15)
-    headings = values[drive.fixes, 2] - at.yaw[drive.fixes] - at.swing[drive.fixes]
+    headings = values[drive.is_fix, 2] - at.yaw[drive.is_fix] - at.swing[drive.is_fix]
     assert np.abs(headings).max() < 5.0 * p.sigma_heading
-    rates = values[drive.rates, 0] - at.yaw_rate[drive.rates] - at.swing_rate[drive.rates]
+    rates = values[drive.is_rate, 0] - at.yaw_rate[drive.is_rate] - at.swing_rate[drive.is_rate]
     assert np.std(rates) == pytest.approx(0.01, rel=0.1)
-    shown = values[drive.angles, 0] - at.swing[drive.angles]
+    shown = values[drive.is_angle, 0] - at.swing[drive.is_angle]
     assert np.std(shown) == pytest.approx(STDDEV, rel=0.1)
     np.testing.assert_array_equal(trial.states[:, SWING], at.swing)
     np.testing.assert_array_equal(trial.states[:, SWING_RATE], at.swing_rate)
@@ -90,8 +90,8 @@ def test_start_angle_without_an_encoder_has_the_error_of_its_prior(
 ) -> None:
     short = load_study_parameters({"scenario": "dig_cycles", "duration": 8.0, "settling": 4.0})
     bare, shown = (make_bench(short, estimator) for estimator in (without_encoder, with_encoder))
-    assert not bare.drive.angles.any()
-    assert shown.drive.angles.sum() == round(8.0 * p.swing_rate)
+    assert not bare.drive.is_angle.any()
+    assert shown.drive.is_angle.sum() == round(8.0 * p.swing_rate)
     setting = bare.setting(CELL)
     trials = [make_trial(setting, seed) for seed in range(100)]
     errors = np.array([t.start[0][[YAW, SWING]] - t.start_state[[YAW, SWING]] for t in trials])
@@ -112,7 +112,7 @@ def test_bound_of_n_encoder_readings_is_the_variance_of_their_mean(
     rows = _rows(n, config, ON_SWING, np.diag((STDDEV**2, 0.0, 0.0)))
     start, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     P[SWING, SWING], P[SWING_RATE, SWING_RATE] = 1e6, 0.0
-    found = bound(rows, np.tile(start, (n, 1)), start, P, config)[:, SWING, SWING]
+    found = cramer_rao_bound(rows, np.tile(start, (n, 1)), start, P, config)[:, SWING, SWING]
     np.testing.assert_allclose(found, STDDEV**2 / np.arange(1, n + 1), rtol=1e-6)
 
 
@@ -124,7 +124,7 @@ def test_a_fix_above_bounds_the_sum_of_heading_and_swing(with_encoder: SlipEstim
     rows.measurements["stamp_ns"] = 1  # before any motion
     start, P = config["prior_mean"][0].copy(), np.zeros_like(config["prior_covariance"][0])
     of_yaw, of_swing = P[YAW, YAW], P[SWING, SWING] = 9e-4, 4e-4
-    found = bound(rows, start[None], start, P, config)[0]
+    found = cramer_rao_bound(rows, start[None], start, P, config)[0]
     total = of_yaw + of_swing + r
     assert found[YAW, YAW] == pytest.approx(of_yaw - of_yaw**2 / total, rel=1e-4)
     assert found[SWING, SWING] == pytest.approx(of_swing - of_swing**2 / total, rel=1e-4)
@@ -165,7 +165,7 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     P[spare, spare] = 1e-4
     sensors = {kind: _sensor(kind, with_encoder, config) for kind in noises}
     states, expected = expected_bound(rows, x, P, config, sensors)
-    assert_same_bound(bound(rows, states, x, P, config)[-1], expected, 1e-4)
+    assert_same_bound(cramer_rao_bound(rows, states, x, P, config)[-1], expected, 1e-4)
     assert expected[SENSOR_ERRORS, SENSOR_ERRORS] == pytest.approx(1e-4)  # unobserved: unchanged
 
 

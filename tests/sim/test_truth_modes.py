@@ -11,7 +11,7 @@ from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
-from trackslip_sim.truth.record import COLUMNS, joined
+from trackslip_sim.truth.record import COLUMNS, join_pieces
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
 
@@ -34,7 +34,7 @@ def test_thesis_manoeuvre_ends_as_far_apart_as_in_figures_6_1_and_6_2() -> None:
 @pytest.mark.parametrize("name", SOILS)
 def test_thesis_mode_balances_the_free_body(name: str) -> None:
     scenario = Scenario(name="turn", soil=name, segments=(Segment(20.0, 2.4, 2.0),))
-    end = simulate(scenario, mode="thesis").at(20.0)
+    end = simulate(scenario, mode="thesis").sample_at(20.0)
     ground = soil(name)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
@@ -64,12 +64,12 @@ def test_unknown_mode_is_refused() -> None:
 
 @pytest.mark.parametrize("mode", ["shear", "thesis"])
 def test_a_drive_in_pieces_is_the_drive_in_one(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    scenario = load_scenario("patches").stretched(7.003)
+    scenario = load_scenario("patches").with_duration(7.003)
     whole = simulate(scenario, mode=mode)
     monkeypatch.setattr("trackslip_sim.truth.simulate.PIECE", 1.5)
     pieces = list(simulate_in_pieces(scenario, mode=mode))
     assert len(pieces) == 5
-    again = joined(pieces)
+    again = join_pieces(pieces)
     assert again.duration == whole.duration == duration_of(scenario, SETTINGS)
     for name in (*COLUMNS, "soil_index"):
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))

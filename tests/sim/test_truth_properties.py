@@ -46,7 +46,7 @@ def run(
 
 def run_loaded(given_: FloatArray, on: Ground, relief: float, loaded: TruthSettings) -> FloatArray:
     machine = ShearDrive(on, VEHICLE, loaded, relief)
-    return np.vstack([machine.first(), machine.drive(given_)])
+    return np.vstack([machine.first_row(), machine.drive(given_)])
 
 
 @settings(max_examples=40, deadline=None)

@@ -21,8 +21,8 @@ from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.contact import Tracks, element_positions
 from trackslip_sim.truth.ground import build_ground
-from trackslip_sim.truth.load import Load, press
-from trackslip_sim.truth.pose import body_rates, move
+from trackslip_sim.truth.load import Load, distribute_load
+from trackslip_sim.truth.pose import advance_pose, body_rates
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.rows import Column
 from trackslip_sim.truth.settings import load_settings
@@ -66,7 +66,7 @@ def lowered(height: float) -> Vehicle:
 
 @pytest.mark.parametrize(("name", "soil"), sorted(BEFORE))
 def test_flat_ground_ends_at_the_reference_poses(name: str, soil: str) -> None:
-    truth = simulate(load_scenario(name).stretched(40.0), soil=soil)
+    truth = simulate(load_scenario(name).with_duration(40.0), soil=soil)
     end = truth.x[-1], truth.y[-1], truth.yaw[-1]
     assert end == pytest.approx(BEFORE[name, soil], abs=1e-9)
     assert not np.any([truth.z, truth.pitch, truth.roll, truth.pitch_rate, truth.roll_rate])
@@ -119,7 +119,7 @@ def test_a_weak_soil_stalls_uphill_and_lets_a_machine_slide_across() -> None:
 
 @pytest.mark.parametrize("slope", [-0.25, 0.1, 0.2])
 def test_weight_along_the_slope_is_thrust_and_no_resistance(slope: float) -> None:
-    end = simulate(drive(plane(slope), (20.0, FAST, FAST))).at(20.0)
+    end = simulate(drive(plane(slope), (20.0, FAST, FAST))).sample_at(20.0)
     normal = VEHICLE.weight * math.cos(slope)
     resistance = SOILS["sand"].value("mu_r") * normal
     assert end.left_resistance + end.right_resistance == pytest.approx(resistance, rel=1e-3)
@@ -132,7 +132,7 @@ def test_weight_along_the_slope_is_thrust_and_no_resistance(slope: float) -> Non
 
 def test_lower_track_carries_more_load() -> None:
     slope = math.radians(10.0)
-    end = simulate(drive(plane(slope, 0.5 * math.pi), (3.0, 0.0, 0.0))).at(3.0)
+    end = simulate(drive(plane(slope, 0.5 * math.pi), (3.0, 0.0, 0.0))).sample_at(3.0)
     assert VEHICLE.centre_of_gravity is not None
     shift = VEHICLE.weight * VEHICLE.centre_of_gravity.z * math.sin(slope) / VEHICLE.tread
     assert end.roll == pytest.approx(slope)
@@ -167,8 +167,8 @@ def steps_of(name: str, soil: str) -> FloatArray:
     settings = dataclasses.replace(SETTINGS, sample_period=SETTINGS.step)
     ground = build_ground(SOILS[soil], (), SOILS, load_terrain(name))
     machine = ShearDrive(ground, VEHICLE, settings, VEHICLE.relief_pressure)
-    commands = load_scenario("field_trial").stretched(60.0).commands(settings.step)
-    return np.vstack([machine.first(), machine.drive(commands)])
+    commands = load_scenario("field_trial").with_duration(60.0).commands(settings.step)
+    return np.vstack([machine.first_row(), machine.drive(commands)])
 
 
 @pytest.mark.parametrize("name", SLOPES)
@@ -183,7 +183,7 @@ def test_energy_balances(name: str, soil: str) -> None:
 @pytest.mark.parametrize("soil", ["sand", pytest.param("clayey_soil", marks=pytest.mark.slow)])
 def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, soil: str) -> None:
     scenario = dataclasses.replace(
-        load_scenario("field_trial").stretched(60.0), terrain=load_terrain(name), soil=soil
+        load_scenario("field_trial").with_duration(60.0), terrain=load_terrain(name), soil=soil
     )
     truth = simulate(scenario, settings=dataclasses.replace(SETTINGS, step=0.5 * SETTINGS.step))
     end = steps_of(name, soil)[-1, [Column.X, Column.Y, Column.Z]]
@@ -195,7 +195,7 @@ def test_pressed_elements_carry_the_weight_where_it_is(x: float, y: float) -> No
     length, tread, n = 1.264, 0.73, 400
     tracks = Tracks(element_positions(length, n), np.zeros((2, n)), length * 0.23 / n, 0.5 * tread, length)
     load = Load(np.zeros(4), np.zeros(2), np.zeros(3), np.array((1e4, x, y)), np.zeros(2), np.zeros(1))
-    press(load, tracks)
+    distribute_load(load, tracks)
     assert not load.tipped[0]
     assert tracks.load.min() >= 0.0
     assert tracks.load.sum() == pytest.approx(1e4)
@@ -253,7 +253,7 @@ def test_moves_along_the_ground_by_its_rates(
     places = []
     for side in (-step, step):
         pose = np.array((x, y, yaw))
-        move(pose, velocity, velocity, ground, side)
+        advance_pose(pose, velocity, velocity, ground, side)
         places.append(lying(pose, terrain))
     before, after = places
     direction = np.array((after.x - before.x, after.y - before.y, after.z - before.z)) / (2.0 * step)
@@ -296,11 +296,11 @@ def test_bucket_load_shifts_the_weight_forward() -> None:
     )
     scenario = Scenario(name="test", soil="sand", segments=segments)
     truth = simulate(scenario)
-    empty, loaded, emptied = (truth.at(t) for t in (1.0, 11.0, 15.0))
+    empty, loaded, emptied = (truth.sample_at(t) for t in (1.0, 11.0, 15.0))
     assert empty.left_load == emptied.left_load == pytest.approx(0.5 * VEHICLE.weight)
     assert loaded.left_load == pytest.approx(0.5 * VEHICLE.weight * (1.0 + 100.0 / VEHICLE.mass))
     assert loaded.left_resistance == pytest.approx(0.2 * loaded.left_load, rel=1e-3)
-    unloaded = simulate(drive(FLAT, (2.0, 0.0, 0.0), (10.0, FAST, FAST))).at(11.0)
+    unloaded = simulate(drive(FLAT, (2.0, 0.0, 0.0), (10.0, FAST, FAST))).sample_at(11.0)
     share = loaded.left_thrust / unloaded.left_thrust * unloaded.left_slip / loaded.left_slip
     assert share < 1.0  # less sheared soil is stiffer, so slip grows faster than thrust
 

@@ -86,7 +86,7 @@ def _soak(duration_s: float, speed: float) -> int:
         except KeyboardInterrupt:  # the page covers the samples so far
             interrupted = True
         finally:
-            ended = graph.ended()
+            ended = graph.exit_codes()
             playing.send_signal(signal.SIGINT)
             playing.wait()
             monitor.close()
@@ -133,10 +133,10 @@ class Graph:
         """Process ids by name."""
         return {**self._fast.pids(), **self._slow.pids(), "player": self._playing.pid}
 
-    def ended(self) -> dict[str, int]:
+    def exit_codes(self) -> dict[str, int]:
         """Exit codes of processes that ended too early."""
         player = self._playing.poll()
-        codes = {**self._fast.ended(), **self._slow.ended()}
+        codes = {**self._fast.exit_codes(), **self._slow.exit_codes()}
         return codes if player is None else {**codes, "player": player}
 
     def keep_driving(self, elapsed_s: float, left_s: float) -> None:
@@ -162,7 +162,7 @@ def _samples(monitor: Monitor, graph: Graph, duration_s: float) -> Iterator[Samp
     cpu = {pid: _cpu_s(pid) for pid in graph.pids().values()}
     for k in range(2, count + 2):
         monitor.spin_until(began_s + k * period_s)
-        if graph.ended():
+        if graph.exit_codes():
             return
         values = monitor.latency()
         for name, pid in graph.pids().items():

@@ -49,7 +49,7 @@ MACHINES = (
 
 @cache
 def drive(soil: str) -> Truth:
-    return simulate(load_scenario("field_trial").stretched(SECONDS), soil=soil, vehicle=P.vehicle.whole())
+    return simulate(load_scenario("field_trial").with_duration(SECONDS), soil=soil, vehicle=P.vehicle.whole())
 
 
 @cache

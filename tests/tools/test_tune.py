@@ -16,7 +16,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
-from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.cli.main import main
@@ -141,7 +141,7 @@ APART = 7.0  # s, the longest correlation time of the pose's NEES
 
 def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
     p = load_emulator_parameters({"scenario": scenario, "soil": soil, "seed": seed})
-    record_drive(p, drive(p), path)
+    record_drive(p, simulate_drive(p), path)
     return path
 
 

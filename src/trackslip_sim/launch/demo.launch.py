@@ -20,7 +20,7 @@ from trackslip_common.nodes.launching import (
     number_argument,
 )
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
-from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
+from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, NodeSpec, demo_nodes
 
 _OWN = {
     "duration": ("40.0", "seconds of driving"),
@@ -50,7 +50,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
         laser=is_switched_on(context, "laser"),
         gnss=is_switched_on(context, "gnss"),
     )
-    chosen = enabled_nodes(context, _launched([*demo_nodes(options), LIVE]))
+    chosen = enabled_nodes(context, _launched([*demo_nodes(options), LIVE_NODE]))
     estimators = [one.executable for one in chosen if one.package == "trackslip_estimation"]
     emulator, *others = chosen
     waiting = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
@@ -66,4 +66,4 @@ def _executables() -> list[str]:
     everything = DemoOptions(
         Path(), Path(), 0, 0.0, "", "", DEFAULT_VEHICLE, autostart=True, laser=True, gnss=True
     )
-    return [node.executable for node in (*demo_nodes(everything), LIVE)]
+    return [node.executable for node in (*demo_nodes(everything), LIVE_NODE)]

@@ -24,8 +24,8 @@ from trackslip_tools.cli.progress import progress_bar
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
 
-_LONGEST = 7 * 86_400.0  # s
-_FINAL = (
+_MAX_DURATION = 7 * 86_400.0  # s
+_FINAL_COLUMNS = (
     *("x", "y", "z", "yaw", "pitch", "roll", "v_x", "yaw_rate"),
     *("left_slip", "right_slip", "left_thrust", "right_thrust"),
 )
@@ -55,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, print, and write the requested files; returns the exit code."""
-    if arguments.duration is not None and not 0.0 < arguments.duration <= _LONGEST:
+    if arguments.duration is not None and not 0.0 < arguments.duration <= _MAX_DURATION:
         raise InputError(
-            f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
+            f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_MAX_DURATION:g} s"
         )
     scenario = load_scenario(arguments.scenario, arguments.terrain or "", arguments.duration or 0.0)
     given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
@@ -72,10 +72,12 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_existing(arguments.output)
     require_writable(json=arguments.json)
     drive = (
-        _recorded(p, pieces, duration, arguments.output) if arguments.output else _driven(pieces, duration)
+        _record_to_end(p, pieces, duration, arguments.output)
+        if arguments.output
+        else _simulate_to_end(pieces, duration)
     )
     elapsed = waiting_time_s()
-    show(text(p.vehicle.name, drive.truth, elapsed))
+    show(summary_text(p.vehicle.name, drive.truth, elapsed))
     if arguments.output is not None:
         show(f"bag: {arguments.output}")
     if arguments.json is not None:
@@ -83,15 +85,17 @@ def run(arguments: argparse.Namespace) -> int:
     return int(ExitCode.DONE)
 
 
-def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:
+def _simulate_to_end(pieces: Iterable[Truth], duration: float) -> TruthWindow:
     """Simulate to the end, with a progress bar; returns the last window."""
     with progress_bar(duration, "simulating") as advance:
-        window = TruthWindow(_followed(pieces, advance), duration)
+        window = TruthWindow(_report_progress(pieces, advance), duration)
         window.advance(duration)
     return window
 
 
-def _recorded(p: EmulatorParameters, pieces: Iterable[Truth], duration: float, path: Path) -> TruthWindow:
+def _record_to_end(
+    p: EmulatorParameters, pieces: Iterable[Truth], duration: float, path: Path
+) -> TruthWindow:
     """Simulate and record to the end into a new bag, with a progress bar; returns the last window."""
     with progress_bar(p.lead_in + duration, "simulating") as advance:
         window = TruthWindow(pieces, duration)
@@ -100,7 +104,7 @@ def _recorded(p: EmulatorParameters, pieces: Iterable[Truth], duration: float, p
     return window
 
 
-def _followed(pieces: Iterable[Truth], advance: Callable[[float], None]) -> Iterator[Truth]:
+def _report_progress(pieces: Iterable[Truth], advance: Callable[[float], None]) -> Iterator[Truth]:
     reached = 0.0
     for piece in pieces:
         yield piece
@@ -108,9 +112,9 @@ def _followed(pieces: Iterable[Truth], advance: Callable[[float], None]) -> Iter
         reached = float(piece.t[-1])
 
 
-def text(vehicle: str, truth: Truth, elapsed: float) -> str:
+def summary_text(vehicle: str, truth: Truth, elapsed: float) -> str:
     """Text of the summary for the terminal."""
-    end = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
+    end = {name: float(getattr(truth, name)[-1]) for name in _FINAL_COLUMNS}
     speed = truth.duration / elapsed
     return "\n".join(
         (
@@ -129,5 +133,5 @@ def text(vehicle: str, truth: Truth, elapsed: float) -> str:
 
 def summary(truth: Truth, elapsed: float) -> dict[str, object]:
     """Content of the JSON file: last sample, duration, s, and elapsed time, s."""
-    final = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
+    final = {name: float(getattr(truth, name)[-1]) for name in _FINAL_COLUMNS}
     return {"final": final, "duration_s": truth.duration, "elapsed_s": elapsed}

@@ -23,7 +23,7 @@ from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine, Tracks
-from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.cli.replay_options import parameters_of
@@ -62,7 +62,7 @@ def recorded(name: str) -> Log:
 def emulated(vehicle: str, folder: Path) -> Log:
     """A field trial of some minutes, with the emulated sensors of the vehicle."""
     p = load_emulator_parameters({"vehicle": vehicle, "scenario": "field_trial", "seed": 3})
-    record_drive(p, drive(p), folder / vehicle)
+    record_drive(p, simulate_drive(p), folder / vehicle)
     return log_of_bag(folder / vehicle)
 
 

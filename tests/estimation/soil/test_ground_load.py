@@ -31,7 +31,7 @@ from trackslip_estimation.soil.shear_field import (
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.truth.burden import Burden
+from trackslip_sim.truth.burden import MassProperties
 from trackslip_sim.truth.settings import load_settings
 
 P = load_soil_parameters()
@@ -135,8 +135,8 @@ def test_uncertain_pitch_widens_the_pull() -> None:
 @given(swing=st.floats(-7.0, 7.0))
 def test_track_loads_with_a_swung_cab_equal_those_of_the_truth(swing: float) -> None:
     load, upper = load_swung(swing, 0.0), CAB.vehicle.upper_structure
-    bucket_load = Burden(load_scenario("field_trial"), CAB.vehicle.whole(), upper, load_settings())
-    _, x_g, y_g, _ = bucket_load.rows(np.array((swing,)), 0, 1)[0]
+    properties = MassProperties(load_scenario("field_trial"), CAB.vehicle.whole(), upper, load_settings())
+    _, x_g, y_g, _ = properties.rows(np.array((swing,)), 0, 1)[0]
     assert load["normal"].sum() == pytest.approx(VEHICLE.weight)
     moment = 0.5 * VEHICLE.tread * (load["normal"][0] - load["normal"][1])
     assert moment == pytest.approx(VEHICLE.weight * y_g, abs=1e-9)

@@ -30,7 +30,7 @@ from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_estimation.terramechanics.traction import thrust
-from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
+from trackslip_sim.machine.hydraulics import InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
@@ -148,7 +148,7 @@ LEGS = (
 @cache
 def ride_on(soil: str) -> tuple[SoilInput, ...]:
     truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*leg) for leg in LEGS)))
-    sensing = Sensing(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
+    sensing = InputErrors(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
     return tuple(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, sensing))
 
 

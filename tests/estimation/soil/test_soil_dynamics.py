@@ -18,7 +18,7 @@ from trackslip_estimation.soil.soil_parameters import (
     load_soil_parameters,
     make_config,
 )
-from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
+from trackslip_sim.machine.hydraulics import START_NS, InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
@@ -36,7 +36,7 @@ def driven(name: str) -> tuple[Truth, list[SoilState]]:
     scenario = Scenario(name="test", soil=name, segments=tuple(Segment(*row) for row in SEGMENTS))
     truth, estimator = simulate(scenario), SoilEstimator(P)
     outputs = [
-        o for given in soil_inputs(truth, VEHICLE, MOTION, Sensing()) for o in estimator.advance(given)
+        o for given in soil_inputs(truth, VEHICLE, MOTION, InputErrors()) for o in estimator.advance(given)
     ]
     return truth, [output for output in outputs if isinstance(output, SoilState)]
 
@@ -59,7 +59,7 @@ def test_longitudinal_resistance_is_found_within_five_percent(name: str) -> None
 def test_mobilised_lateral_resistance_is_the_moment_within_ten_percent(name: str) -> None:
     truth, states = driven(name)
     for state in within(states, *TURNS):
-        moment = float(truth.at((state.stamp_ns - START_NS) * 1e-9).turning_moment[0])
+        moment = float(truth.sample_at((state.stamp_ns - START_NS) * 1e-9).turning_moment[0])
         true = 3.0 * moment / (VEHICLE.weight * VEHICLE.contact_length)  # (3.8)
         assert state.mu_l == pytest.approx(true, rel=0.10)
         assert abs(state.mu_l - true) < 3.0 * np.sqrt(state.mu_l_variance)

@@ -25,7 +25,7 @@ from trackslip_estimation.soil.records import (
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
+from trackslip_sim.machine.hydraulics import START_NS, InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
@@ -50,14 +50,14 @@ def swung(angle: float, stddev: float | None) -> tuple[SoilInput, ...]:
     segments = (Segment(8.0, 0.0, 0.0, swing_to=angle), *(Segment(*row) for row in TO_AND_FRO))
     whole, upper = CAB.vehicle.whole(), CAB.vehicle.upper_structure
     truth = simulate(Scenario(name="test", soil="sand", segments=segments), vehicle=whole, upper=upper)
-    sensing = Sensing(speed_stddev=0.001, yaw_rate_stddev=0.001, swing_stddev=stddev)
+    sensing = InputErrors(speed_stddev=0.001, yaw_rate_stddev=0.001, swing_stddev=stddev)
     return tuple(soil_inputs(truth, whole, load_slip_parameters().motion, sensing))
 
 
 @cache
 def given(soil: str = "sand", segments: tuple[tuple[float, float, float], ...] = SEGMENTS) -> list[SoilInput]:
     truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*row) for row in segments)))
-    return list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, Sensing()))
+    return list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
 
 
 def run(inputs: Iterable[SoilInput], estimator: SoilEstimator | None = None) -> list[SoilOutput]:
@@ -272,7 +272,7 @@ def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None
             name="stall", soil="sand", relief_pressure=8e6, segments=tuple(Segment(*row) for row in segments)
         )
     )
-    inputs = list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, Sensing()))
+    inputs = list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
     estimator, stalled = SoilEstimator(P), {}
     for one in inputs:
         estimator.advance(one)
@@ -321,7 +321,7 @@ def test_volumetric_efficiency_is_estimated_from_spools_and_speeds() -> None:
 
 def test_transducer_offsets_do_not_change_the_resistance() -> None:
     truth = simulate(Scenario(name="test", soil="sand", segments=tuple(Segment(*row) for row in SEGMENTS)))
-    off = Sensing(offsets=(2e5, 2e5))
+    off = InputErrors(offsets=(2e5, 2e5))
     outputs = run(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, off))
     last = at(outputs, SoilState, 18.0)
     assert isinstance(last, SoilState)

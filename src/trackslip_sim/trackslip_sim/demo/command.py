@@ -18,7 +18,7 @@ from trackslip_tools.cli.outputs import make_folder
 
 EXAMPLE = "trackslip demo --vehicle excavator_20t --soil sandy_loam"
 
-_SOIL = "sand"
+_DEFAULT_SOIL = "sand"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--vehicle", metavar="NAME|FILE", default="excavator_20t", help="default: excavator_20t")
     add("--scenario", metavar="NAME|FILE", default="slalom", help="default: slalom")
-    add("--soil", metavar="S", default=_SOIL, help=f"a name of config/soils.yaml; default: {_SOIL}")
+    add(
+        "--soil",
+        metavar="S",
+        default=_DEFAULT_SOIL,
+        help=f"a name of config/soils.yaml; default: {_DEFAULT_SOIL}",
+    )
     add("--duration", type=float, metavar="S", default=30.0, help="of driving; default: 30 s")
     add("--output", type=Path, metavar="DIR", default=Path("trackslip_demo"), help="directory to create")
     add("--no-browser", dest="browser", action="store_false", help="do not open the report")
@@ -40,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     load_scenario(arguments.scenario)
     soil(arguments.soil)  # raises InputError if unknown
     make_folder("output", output)
-    if (code := run_commands(_lines(arguments))) != ExitCode.DONE:
+    if (code := run_commands(_commands(arguments))) != ExitCode.DONE:
         return code
     page = output / "report.html"
     if arguments.browser:
@@ -64,7 +69,7 @@ def run_commands(lines: Iterable[Sequence[str]]) -> int:
     return int(ExitCode.DONE)
 
 
-def _lines(arguments: argparse.Namespace) -> Iterator[list[str]]:
+def _commands(arguments: argparse.Namespace) -> Iterator[list[str]]:
     """The arguments of each command of the demo."""
     bag, page = str(arguments.output / "bag"), str(arguments.output / "report.html")
     drive = ["--scenario", arguments.scenario, "--vehicle", arguments.vehicle, "--soil", arguments.soil]

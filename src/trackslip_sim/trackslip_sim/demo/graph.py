@@ -32,7 +32,7 @@ class NodeSpec:
     is_needed: bool = True  # whether the demo ends when this node ends
 
 
-LIVE = NodeSpec("trackslip_tools", "live", is_needed=False)
+LIVE_NODE = NodeSpec("trackslip_tools", "live", is_needed=False)
 
 
 @dataclass(frozen=True)
@@ -72,22 +72,22 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
         NodeSpec("trackslip_sim", "emulator", emulator),
         NodeSpec("trackslip_drivers", "can_driver", {**can, **vehicle}),
         NodeSpec("trackslip_drivers", "watson_imu", {"serial_port": str(options.devices / "watson")}),
-        *(_laser(options, vehicle) if options.laser else ()),
-        *(_receiver(options) if options.gnss else ()),
+        *(_laser_nodes(options, vehicle) if options.laser else ()),
+        *(_receiver_nodes(options) if options.gnss else ()),
         NodeSpec("trackslip_estimation", "slip_estimator", estimator),
         NodeSpec("trackslip_estimation", "soil_estimator", vehicle),
         NodeSpec("trackslip_estimation", "record", {"output": str(options.bag)}),
     ]
 
 
-def _laser(options: DemoOptions, vehicle: dict[str, object]) -> list[NodeSpec]:
+def _laser_nodes(options: DemoOptions, vehicle: dict[str, object]) -> list[NodeSpec]:
     return [
         NodeSpec("trackslip_drivers", "sick_pls", {"serial_port": str(options.devices / "sick")}),
         NodeSpec("trackslip_estimation", "box_localizer", vehicle),
     ]
 
 
-def _receiver(options: DemoOptions) -> list[NodeSpec]:
+def _receiver_nodes(options: DemoOptions) -> list[NodeSpec]:
     """Nodes of the GNSS receiver; the map's origin is that of the emulated site, as for the truth."""
     site = node_defaults("emulator", "emulator.yaml")
     datum = {f"datum_{name}": site[f"gnss.{name}"] for name in ("latitude", "longitude", "altitude")}

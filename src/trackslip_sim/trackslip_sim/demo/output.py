@@ -16,18 +16,18 @@ from trackslip_common.errors import InputError
 class Results(NamedTuple):
     """Files and messages of the results of one kind of run."""
 
-    of: str
-    made: tuple[str, ...]  # files that a run writes and a later one replaces
+    kind: str
+    files: tuple[str, ...]  # files that a run writes and a later one replaces
     option: str = ""  # prefix of messages: the option of the directory
 
     @property
     def marker(self) -> str:
         """Name of the file that marks a directory of these results."""
-        return f".trackslip-{self.of}"
+        return f".trackslip-{self.kind}"
 
     def refusal(self, reason: str) -> InputError:
         """The error for a refused directory, in one line."""
-        accepted = f"a new or an empty directory, or that of an earlier {self.of}"
+        accepted = f"a new or an empty directory, or that of an earlier {self.kind}"
         return InputError(f"{self.option}{reason}; accepted: {accepted}")
 
 
@@ -56,21 +56,21 @@ def _claim(output: Path, results: Results) -> AbstractContextManager[None]:
     output.mkdir(parents=True, exist_ok=True)
     marker = output / results.marker
     if not marker.is_file() and any(output.iterdir()):
-        raise results.refusal(f"'{output}' holds files that are not a {results.of}'s")
+        raise results.refusal(f"'{output}' holds files that are not a {results.kind}'s")
     lock = os.open(marker, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(lock)
-        raise results.refusal(f"another {results.of} is writing to '{output}'") from None
-    for pattern in results.made:
+        raise results.refusal(f"another {results.kind} is writing to '{output}'") from None
+    for pattern in results.files:
         for path in output.glob(pattern):
             _remove(path)
-    return _held(lock)
+    return _released_at_exit(lock)
 
 
 @contextmanager
-def _held(lock: int) -> Iterator[None]:
+def _released_at_exit(lock: int) -> Iterator[None]:
     try:
         yield
     finally:

@@ -19,9 +19,9 @@ from trackslip_common.errors import InputError
 from trackslip_sim.demo.graph import NodeSpec
 
 _PR_SET_PDEATHSIG = 1
-_GRACE = 10.0  # s from SIGINT to SIGKILL: a killed recorder leaves an incomplete bag
-_AGAIN = 2.0  # s between repeated SIGINTs
-_POLL = 0.02  # s
+_KILL_DELAY = 10.0  # s from SIGINT to SIGKILL: a killed recorder leaves an incomplete bag
+_SIGINT_PERIOD = 2.0  # s between repeated SIGINTs
+_POLL_PERIOD = 0.02  # s
 
 
 class DemoFailure(RuntimeError):
@@ -48,7 +48,7 @@ class Processes:
             self._needed.add(node.executable)
         for name, value in node.parameters.items():
             arguments += ["-p", f"{name}:={yaml.safe_dump(value, default_flow_style=True).splitlines()[0]}"]
-        with (self._logs / f"{node.executable}.log").open("wb") as log, interrupts_noted():
+        with (self._logs / f"{node.executable}.log").open("wb") as log, deferred_interrupts():
             self._running[node.executable] = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
@@ -63,34 +63,36 @@ class Processes:
         """Content of a node's log."""
         return (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
 
-    def ended(self) -> dict[str, int]:
+    def exit_codes(self) -> dict[str, int]:
         """Exit codes of the needed nodes that have ended."""
         codes = {name: self._running[name].poll() for name in self._needed & self._running.keys()}
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, names: Iterable[str] | None = None) -> None:
-        """Interrupt these nodes (or all); kill those still running after ``_GRACE``; Ctrl-C is deferred."""
-        with interrupts_noted():
+        """Interrupt these nodes (or all); kill them after ``_KILL_DELAY``; Ctrl-C is deferred."""
+        with deferred_interrupts():
             self._stop(names)
 
     def _stop(self, names: Iterable[str] | None) -> None:
         chosen = {
             name: self._running.pop(name) for name in list(names or self._running) if name in self._running
         }
-        give_up, ask = time.monotonic() + _GRACE, 0.0
-        while (left := _running(chosen)) and (now := time.monotonic()) < give_up:
-            if now >= ask:  # repeated: a signal may be lost while Python starts
+        deadline, next_signal = time.monotonic() + _KILL_DELAY, 0.0
+        while (left := _running_processes(chosen)) and (now := time.monotonic()) < deadline:
+            if now >= next_signal:  # repeated: a signal may be lost while Python starts
                 for process in left.values():
                     _signal(process, signal.SIGINT)
-                ask = now + _AGAIN
-            time.sleep(_POLL)
-        killed = _running(chosen)
+                next_signal = now + _SIGINT_PERIOD
+            time.sleep(_POLL_PERIOD)
+        killed = _running_processes(chosen)
         for name in killed:
             _signal(chosen[name], signal.SIGKILL)
         for process in chosen.values():
             process.wait()
         for name in killed:
-            print(f"{name} did not end within {_GRACE:g} s of being asked, and was killed", file=sys.stderr)
+            print(
+                f"{name} did not end within {_KILL_DELAY:g} s of being asked, and was killed", file=sys.stderr
+            )
 
 
 def executable(package: str, name: str) -> Path:
@@ -107,18 +109,18 @@ def executable(package: str, name: str) -> Path:
 
 
 @contextmanager
-def interrupts_noted() -> Iterator[Callable[[], None]]:
+def deferred_interrupts() -> Iterator[Callable[[], None]]:
     """Defer Ctrl-C: the yielded function raises it when called, else the exit raises it.
 
     An immediate KeyboardInterrupt could be lost in a fork or interrupt the executor.
     """
-    asked: list[int] = []
+    interrupts: list[int] = []
 
     def check() -> None:
-        if asked:
+        if interrupts:
             raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    before = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     try:
         yield check
     finally:
@@ -126,7 +128,9 @@ def interrupts_noted() -> Iterator[Callable[[], None]]:
     check()
 
 
-def _running(processes: Mapping[str, "subprocess.Popen[bytes]"]) -> dict[str, "subprocess.Popen[bytes]"]:
+def _running_processes(
+    processes: Mapping[str, "subprocess.Popen[bytes]"],
+) -> dict[str, "subprocess.Popen[bytes]"]:
     return {name: process for name, process in processes.items() if process.poll() is None}
 
 

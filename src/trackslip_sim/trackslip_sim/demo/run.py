@@ -24,9 +24,9 @@ from trackslip_common.errors import ExitCode, InputError, printable
 from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.demo.command import run_commands
-from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
-from trackslip_sim.demo.processes import DemoFailure, Processes, interrupts_noted
+from trackslip_sim.demo.processes import DemoFailure, Processes, deferred_interrupts
 from trackslip_sim.demo.results import counts_of, shortfalls
 from trackslip_sim.demo.session import Session
 from trackslip_sim.demo.show import counts_table
@@ -34,8 +34,8 @@ from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_tools.cli.outputs import write_json
 from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
-_LONGEST = 3600.0  # s
-_FIRST, _COUNT = 1, 100  # domains up to 101 use no ephemeral ports
+_MAX_DURATION = 3600.0  # s
+_FIRST_DOMAIN, _DOMAIN_COUNT = 1, 100  # domains up to 101 use no ephemeral ports
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -69,7 +69,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", type=Path, default=Path("out/demo"), help="directory of the results")
     parser.add_argument("--no-live", dest="live", action="store_false", help="serve no live page")
     options = parser.parse_args(argv)
-    options.duration = _duration(options.duration)
+    options.duration = _parse_duration(options.duration)
     soil(options.soil)  # raises InputError if unknown
     options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
     machine = load_vehicle(options.vehicle)
@@ -79,13 +79,15 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def _duration(text: str) -> float:
+def _parse_duration(text: str) -> float:
     try:
         seconds = float(text)
     except ValueError:
         seconds = math.nan
-    if not 1.0 <= seconds <= _LONGEST:
-        raise InputError(f"DURATION: '{text}' is refused; accepted: 1 to {_LONGEST:g} (seconds of driving)")
+    if not 1.0 <= seconds <= _MAX_DURATION:
+        raise InputError(
+            f"DURATION: '{text}' is refused; accepted: 1 to {_MAX_DURATION:g} (seconds of driving)"
+        )
     return seconds
 
 
@@ -110,26 +112,26 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
         f"observe with ROS_DOMAIN_ID={domain}"
     )
     console.print(f"vehicle: {escape(options.machine)}")
-    live = [replace(LIVE, parameters={"port": _free_tcp_port()})] if options.live else []
+    live = [replace(LIVE_NODE, parameters={"port": _free_tcp_port()})] if options.live else []
     for page in live:
         console.print(f"the live page: http://127.0.0.1:{page.parameters['port']}/")
     processes = Processes(output, os.environ)
-    with interrupts_noted() as check:
+    with deferred_interrupts() as check:
         try:
             session = Session(processes, console, check)
             try:
                 session.bring_up([*demo_nodes(nodes), *live])
-                session.watch(options.duration)
+                session.show_drive(options.duration)
             finally:
                 session.close()
                 processes.stop(["record"])  # first, while the other nodes still publish
         finally:
             processes.stop()
             shutil.rmtree(nodes.devices, ignore_errors=True)
-    return _conclude(output, session, output / "bag", console)
+    return _replay_and_report(output, session, output / "bag", console)
 
 
-def _conclude(output: Path, session: Session, path: Path, console: Console) -> int:
+def _replay_and_report(output: Path, session: Session, path: Path, console: Console) -> int:
     """Run replay and report, count the messages; returns the exit code."""
     numbers, page = output / "summary.json", output / "report.html"
     code = run_commands(
@@ -151,7 +153,7 @@ def _conclude(output: Path, session: Session, path: Path, console: Console) -> i
 
 def _free_tcp_port() -> int:
     """The port in ``config/live.yaml``; another one if it is in use."""
-    usual = load_parameters(LiveParameters, LIVE.executable, DEFAULT_FILES).port
+    usual = load_parameters(LiveParameters, LIVE_NODE.executable, DEFAULT_FILES).port
     for requested in (usual, 0):
         with socket.socket() as probe, suppress(OSError):
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -178,22 +180,22 @@ def claimed_domain() -> Iterator[int]:
     """
     stated = os.environ.get("ROS_DOMAIN_ID")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as claim:
-        domain = next((domain for domain in _candidates(stated) if _is_bound(claim, domain)), None)
+        domain = next((domain for domain in _candidate_domains(stated) if _bind_domain(claim, domain)), None)
         if domain is None:
             where = f"in domain {stated}" if stated else "in each domain"
             raise InputError(f"ROS_DOMAIN_ID: another demo runs {where}; accepted: another one, or none set")
         yield domain
 
 
-def _candidates(stated: str | None) -> list[int]:
+def _candidate_domains(stated: str | None) -> list[int]:
     if stated:
         if not stated.isascii() or not stated.isdigit():
             raise InputError(f"ROS_DOMAIN_ID: '{stated}' is no domain; accepted: 0 to 101")
         return [int(stated)]
-    return [_FIRST + (os.getpid() + k) % _COUNT for k in range(_COUNT)]
+    return [_FIRST_DOMAIN + (os.getpid() + k) % _DOMAIN_COUNT for k in range(_DOMAIN_COUNT)]
 
 
-def _is_bound(claim: socket.socket, domain: int) -> bool:
+def _bind_domain(claim: socket.socket, domain: int) -> bool:
     """Bind the abstract socket name of a domain; False if it is taken. The name ends with the process."""
     try:
         claim.bind(f"\0trackslip-demo-domain-{domain}")

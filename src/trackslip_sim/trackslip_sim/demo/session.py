@@ -15,13 +15,13 @@ from trackslip_sim.demo.processes import DemoFailure, Processes
 from trackslip_sim.demo.show import status
 from trackslip_sim.nodes.demo_monitor import DemoMonitor, join_graph, leave_graph
 
-_COMPILE = 180.0  # s, longest preparation of the drive; the first run compiles its kernels
-_APPEAR = 60.0  # s for the nodes to find each other, on a busy machine
+_CONFIGURE_TIMEOUT = 180.0  # s, longest preparation of the drive; the first run compiles its kernels
+_DISCOVERY_TIMEOUT = 60.0  # s for the nodes to find each other, on a busy machine
 _LINE_PERIOD = 0.5  # s
 _PLAIN_PERIOD = 5.0  # s, if the output is not a terminal
-_RATES = ("sprockets", "imu/data_raw", "scan", "fix", "odometry")  # topics of the status line
-_PATIENCE = 0.2  # s between checks that the nodes still run
-_LATE = 30.0  # s, longest delay of the drive's end
+_RATE_TOPICS = ("sprockets", "imu/data_raw", "scan", "fix", "odometry")  # topics of the status line
+_CHECK_PERIOD = 0.2  # s between checks that the nodes still run
+_MAX_END_DELAY = 30.0  # s, longest delay of the drive's end
 
 
 class Session:
@@ -54,38 +54,38 @@ class Session:
         for node in nodes:
             self._check()
             self._processes.start(node)
-        self._ask_emulator("configure", self._monitor.lay_cables, _COMPILE)
-        until = time.monotonic() + _APPEAR
+        self._change_emulator_state("configure", self._monitor.configure_emulator, _CONFIGURE_TIMEOUT)
+        until = time.monotonic() + _DISCOVERY_TIMEOUT
         running = {node.executable for node in nodes}
         drivers = {node.executable for node in nodes if node.package == "trackslip_drivers"}
-        while missing := self._monitor.missing_ends(running) | drivers - self._monitor.at_work:
-            self._look_around()
+        while missing := self._monitor.missing_endpoints(running) | drivers - self._monitor.healthy_nodes:
+            self._check_processes()
             if time.monotonic() > until:
                 raise DemoFailure(f"nodes did not find each other: {', '.join(sorted(missing))}")
             self._monitor.spin_for(0.05)
-        self._ask_emulator("start", self._monitor.turn_key, _APPEAR)
+        self._change_emulator_state("start", self._monitor.activate_emulator, _DISCOVERY_TIMEOUT)
 
-    def watch(self, duration: float) -> None:
+    def show_drive(self, duration: float) -> None:
         """Show the drive until the emulator reports its end.
 
         Raises:
             DemoFailure: a node ended, or the emulator did not finish in time.
         """
         began = shown = time.monotonic()
-        until = began + duration + _LATE
+        until = began + duration + _MAX_END_DELAY
         before = Counter(self.received)
         terminal = self._console.is_terminal
         period = _LINE_PERIOD if terminal else _PLAIN_PERIOD
         with Live(console=self._console, auto_refresh=False, transient=True) as live:
             while not self._monitor.finished:
                 self._monitor.spin_for(0.1)
-                self._look_around()
+                self._check_processes()
                 now = time.monotonic()
                 if now > until:
-                    raise DemoFailure(f"emulator: not finished {_LATE:g} s after the drive's end")
+                    raise DemoFailure(f"emulator: not finished {_MAX_END_DELAY:g} s after the drive's end")
                 if now - shown < period:
                     continue
-                coming = [topic for topic in _RATES if self.received[topic]]
+                coming = [topic for topic in _RATE_TOPICS if self.received[topic]]
                 rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in coming}
                 line = status(now - began, self._monitor.pose, self._monitor.slips, rates)
                 shown, before = now, Counter(self.received)
@@ -99,17 +99,17 @@ class Session:
         self._monitor.close()
         leave_graph()
 
-    def _ask_emulator(self, verb: str, ask: Callable[[float], bool], timeout: float) -> None:
+    def _change_emulator_state(self, verb: str, request: Callable[[float], bool], timeout: float) -> None:
         until = time.monotonic() + timeout
-        while not ask(_PATIENCE):
-            self._look_around()
+        while not request(_CHECK_PERIOD):
+            self._check_processes()
             if time.monotonic() > until:
-                last = self._processes.log("emulator")[-300:] or "it said nothing"
+                last = self._processes.log("emulator")[-300:] or "(no output)"
                 raise DemoFailure(f"emulator did not {verb} within {timeout:g} s: {last}")
 
-    def _look_around(self) -> None:
+    def _check_processes(self) -> None:
         """Raise KeyboardInterrupt after Ctrl-C, DemoFailure after the end of a needed node."""
         self._check()
-        for name, code in self._processes.ended().items():
+        for name, code in self._processes.exit_codes().items():
             last = (self._processes.log(name).splitlines() or ["(no output)"])[-1]
             raise DemoFailure(f"{name} ended with exit code {code}: {last}")

@@ -26,15 +26,15 @@ from trackslip_estimation.slip.records import ESTIMATE, MEASUREMENT, STATE
 from trackslip_estimation.slip.tilt import update_attitude
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
+from trackslip_sim.machine.hydraulics import InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.study.slip.drive import make_drive
 from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.parameters import TRUTHS, cells, load_study_parameters
 from trackslip_sim.truth.simulate import MODES, simulate
 
-_SHORT = 0.1  # s
-_ROLLING = 4.0  # s of the slalom, half of it straight
+_TRUTH_DURATION = 0.1  # s
+_SOIL_DURATION = 4.0  # s of the slalom, half of it straight
 
 
 def main(families: Sequence[str]) -> None:
@@ -46,13 +46,13 @@ def main(families: Sequence[str]) -> None:
         print(f"{name}: {time.process_time() - begin:.1f} s", flush=True)
 
 
-def _truth() -> None:
-    scenario = load_scenario("straight").stretched(_SHORT)
+def _compile_truth() -> None:
+    scenario = load_scenario("straight").with_duration(_TRUTH_DURATION)
     for mode in MODES:
         simulate(scenario, mode=mode)
 
 
-def _last() -> None:
+def _compile_last() -> None:
     """Compile the kernels that the slip estimator needs last, in parallel with its own compilation."""
     state, measurement, c, estimate = map(numba.from_dtype, (STATE, MEASUREMENT, CONFIG, ESTIMATE))
     parts: tuple[tuple[Any, tuple[Any, ...]], ...] = (
@@ -65,11 +65,11 @@ def _last() -> None:
     LocalOdometry()
 
 
-def _slip() -> None:
+def _compile_slip() -> None:
     SlipEstimator(load_slip_parameters())
 
 
-def _study() -> None:
+def _compile_study() -> None:
     estimator = load_slip_parameters()
     study = load_study_parameters({"duration": 2.0, "settling": 1.0, "seeds": 1})
     drive = make_drive(study, estimator, study.soils[0])
@@ -78,16 +78,23 @@ def _study() -> None:
         evaluate(cell, drive, study, estimator)
 
 
-def _soil() -> None:
+def _compile_soil() -> None:
     estimator = SoilEstimator(load_soil_parameters())
-    truth = simulate(load_scenario("slalom").stretched(_ROLLING))
+    truth = simulate(load_scenario("slalom").with_duration(_SOIL_DURATION))
     motion = load_slip_parameters().motion
-    for given in soil_inputs(truth, estimator.parameters.vehicle.whole(), motion, Sensing()):
+    for given in soil_inputs(truth, estimator.parameters.vehicle.whole(), motion, InputErrors()):
         estimator.advance(given)
 
 
 FAMILIES: Mapping[str, Callable[[], None]] = MappingProxyType(
-    {"last": _last, "slip": _slip, "truth": _truth, "box": compile_fit, "soil": _soil, "study": _study}
+    {
+        "last": _compile_last,
+        "slip": _compile_slip,
+        "truth": _compile_truth,
+        "box": compile_fit,
+        "soil": _compile_soil,
+        "study": _compile_study,
+    }
 )
 
 if __name__ == "__main__":

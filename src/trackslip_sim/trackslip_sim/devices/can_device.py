@@ -11,7 +11,7 @@ from trackslip_drivers.records import HydraulicsSample, SprocketSample
 
 ENCODERS, SPOOLS, PRESSURES = "encoders", "spools", "pressures"  # the frames, in the order sent
 
-_STAMPS_KEPT = 10_000
+_MAX_STAMPS = 10_000
 
 
 class CanDevice:
@@ -36,7 +36,7 @@ class CanDevice:
         start_ns: int,
     ) -> None:
         self.frames_emitted: Counter[str] = Counter()
-        self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
+        self.stamps: deque[int] = deque(maxlen=_MAX_STAMPS)
         self._frames = frames
         self._limits = {
             name: [(signal, field.low, field.high) for signal, field in frames.codecs[name].fields.items()]
@@ -64,7 +64,7 @@ class CanDevice:
         """(arbitration id, payload) of every frame due by now and not yet sent."""
         sent: list[tuple[int, bytes]] = []
         while self._next_ns <= now_ns:
-            for name, values in self._readings(self._next_ns):
+            for name, values in self._frame_signals(self._next_ns):
                 sent.append(self._frames.encode(name, values, self._alive_counter))
                 self.frames_emitted[name] += 1
             self.stamps.append(self._next_ns)
@@ -72,20 +72,20 @@ class CanDevice:
             self._next_ns += self._cycle_ns
         return sent
 
-    def _readings(self, stamp_ns: int) -> tuple[tuple[str, Mapping[str, float]], ...]:
+    def _frame_signals(self, stamp_ns: int) -> tuple[tuple[str, Mapping[str, float]], ...]:
         """Signals of the three frames, in the order sent."""
         sprockets, hydraulics = self._sprockets(stamp_ns), self._hydraulics(stamp_ns)
         counts = {
-            "left_count": self._count(sprockets.left_position),
-            "right_count": self._count(sprockets.right_position),
+            "left_count": self._encoder_count(sprockets.left_position),
+            "right_count": self._encoder_count(sprockets.right_position),
         }
         levels = hydraulics._asdict()
-        return (ENCODERS, counts), *((name, self._saturated(name, levels)) for name in (SPOOLS, PRESSURES))
+        return (ENCODERS, counts), *((name, self._saturate(name, levels)) for name in (SPOOLS, PRESSURES))
 
-    def _count(self, position: float) -> int:
+    def _encoder_count(self, position: float) -> int:
         """Raw count of an encoder at sprocket angle ``position``, rad."""
         return math.floor(position * self._counts_per_rad) % self._counts
 
-    def _saturated(self, frame: str, levels: Mapping[str, float]) -> Mapping[str, float]:
+    def _saturate(self, frame: str, levels: Mapping[str, float]) -> Mapping[str, float]:
         """The signals of a frame, limited to the ranges of the DBC."""
         return {name: min(max(levels[name], low), high) for name, low, high in self._limits[frame]}

@@ -50,7 +50,7 @@ class BaudLine:
         self._bursts.append(_Burst(data, start_ns, self.baud))
         self.busy_until_ns = start_ns + self.transfer_ns(len(data))
 
-    def cut(self, now_ns: int) -> None:
+    def discard_unread(self, now_ns: int) -> None:
         """Drop all characters not yet read: the transmitter has lost power."""
         self._bursts.clear()
         self.busy_until_ns = now_ns
@@ -68,7 +68,7 @@ class BaudLine:
             return now_ns + tick_ns
         if not burst.reads_ns:
             first_ns = (now_ns - burst.start_ns) % tick_ns
-            reads_ns = _reads_of(len(burst.data), burst.baud, self.bits_per_char, first_ns, tick_ns)
+            reads_ns = _burst_read_times(len(burst.data), burst.baud, self.bits_per_char, first_ns, tick_ns)
             burst.reads_ns = tuple(burst.start_ns + read_ns for read_ns in reads_ns)
         for read_ns in burst.reads_ns:
             if read_ns > now_ns:
@@ -91,7 +91,7 @@ class BaudLine:
 
 
 @lru_cache(maxsize=256)
-def _reads_of(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
+def _burst_read_times(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
     """The two reads of a burst of ``count`` characters, ns after its start; ticks start at ``first_ns``."""
     end_ns = -(-count * bits * _NS_PER_S // baud)
     ticks = np.arange(first_ns, end_ns + tick_ns, tick_ns)

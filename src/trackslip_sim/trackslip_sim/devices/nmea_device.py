@@ -17,7 +17,7 @@ from trackslip_sim.devices.line import NEVER_NS, BaudLine
 
 RECEIVER_RATE = 10.0  # Hz, default rate of a machine with an antenna
 SINGLE, FLOAT, FIXED = 1, 5, 4  # quality
-_STEPS = (
+_START_QUALITIES = (
     (2.0, None),
     (5.0, 0),
     (8.0, SINGLE),
@@ -64,41 +64,41 @@ class NmeaDevice:
         self._line = line
         self._measure = measure
         self._random = np.random.default_rng(seed)
-        self._on_ns: int | None = None
+        self._power_on_ns: int | None = None
         self._period_ns = round(_NS_PER_S / p.rate) if p.rate > 0.0 else NEVER_NS
         self._epoch_ns = -(-start_ns // self._period_ns) * self._period_ns
-        self._schedule()
+        self._schedule_burst()
 
     def power_cycle(self, now_ns: int) -> None:
         """Lose and regain power: bytes on the line are lost, and the receiver starts cold."""
-        self._line.cut(now_ns)
-        self._on_ns = now_ns
+        self._line.discard_unread(now_ns)
+        self._power_on_ns = now_ns
         self._epoch_ns = -(-now_ns // self._period_ns) * self._period_ns
-        self._schedule()
+        self._schedule_burst()
 
     def step(self, now_ns: int) -> bytes:
         """The bytes that have left the line by now."""
         while self._send_ns <= now_ns:
-            for sentence in self._burst(self._epoch_ns):
+            for sentence in self._epoch_sentences(self._epoch_ns):
                 self._line.send(sentence, self._send_ns)
             self._epoch_ns += self._period_ns
-            self._schedule()
+            self._schedule_burst()
         return self._line.read(now_ns)
 
     def next_ns(self, now_ns: int, tick_ns: int) -> int:
         """Next time to call ``step``, whole ticks from now; see ``BaudLine.next_read_ns``."""
         return min(self._send_ns, self._line.next_read_ns(now_ns, tick_ns))
 
-    def _schedule(self) -> None:
+    def _schedule_burst(self) -> None:
         late = self._p.latency + self._p.latency_jitter * self._random.standard_exponential()
         self._send_ns = self._epoch_ns + round(late * 1e9)
 
-    def _burst(self, epoch_ns: int) -> tuple[bytes, ...]:
+    def _epoch_sentences(self, epoch_ns: int) -> tuple[bytes, ...]:
         """The sentences of one epoch."""
         best: int | None = FIXED
-        if self._on_ns is not None:
-            since = (epoch_ns - self._on_ns) / _NS_PER_S
-            best = next((quality for until, quality in _STEPS if since < until), FIXED)
+        if self._power_on_ns is not None:
+            since = (epoch_ns - self._power_on_ns) / _NS_PER_S
+            best = next((quality for until, quality in _START_QUALITIES if since < until), FIXED)
         if best is None:
             return ()
         at = Position(None) if best == 0 else self._measure(epoch_ns, best)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError
 
-_MOST_BYTES = 65536
-_PORTS = "/dev/pts/"  # target of an emulator's links
+_MAX_READ = 65536
+_PTY_FOLDER = "/dev/pts/"  # target of an emulator's links
 _BAUD_OF_CODE = {
     getattr(termios, name): int(name[1:])
     for name in dir(termios)
@@ -40,7 +40,7 @@ class PtyPort:
         Raises:
             InputError: another file has the name of the link.
         """
-        if os.path.lexists(self.link) and not self._is_port():
+        if os.path.lexists(self.link) and not self._has_own_link():
             raise InputError(
                 f"device_directory: '{self.link}' is no port of an emulator, and is not replaced; "
                 "accepted: a directory of its own"
@@ -63,7 +63,7 @@ class PtyPort:
         if not self.plugged:
             return b""
         try:
-            return os.read(self._master, _MOST_BYTES)
+            return os.read(self._master, _MAX_READ)
         except BlockingIOError:
             return b""
 
@@ -76,8 +76,8 @@ class PtyPort:
         self.bytes_lost += len(data) - sent
         return sent
 
-    def _is_port(self) -> bool:
-        return self.link.is_symlink() and str(self.link.readlink()).startswith(_PORTS)
+    def _has_own_link(self) -> bool:
+        return self.link.is_symlink() and str(self.link.readlink()).startswith(_PTY_FOLDER)
 
     def close(self) -> None:
         """Unplug: remove the link and close the pty; safe to call twice."""

@@ -35,11 +35,11 @@ Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 
 _ACK_DELAY_NS = 5_000_000
 _REPLY_DELAY_NS = 20_000_000
-_RATE_KEPT_NS = 5_000_000  # from the end of the reply to the change of the rate
-_RATE_SETTLES_NS = (
+_RATE_CHANGE_DELAY_NS = 5_000_000  # from the end of the reply to the change of the rate
+_RATE_SETTLING_NS = (
     200_000_000  # ignores input for this time after a change of rate; manuals ask hosts to pause 250 ms
 )
-_STAMPS_KEPT = 10_000
+_MAX_STAMPS = 10_000
 _NS_PER_S = 1_000_000_000
 _IDENTITY = {"pls": b"PLS101-312", "lms": b"LMS200;30106"}
 _SOURCE = "host"
@@ -78,7 +78,7 @@ class SickDevice:
     ) -> None:
         self.status = 0
         self.scans_emitted = 0
-        self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
+        self.stamps: deque[int] = deque(maxlen=_MAX_STAMPS)
         self.bytes_ignored = 0
         self._parameters = parameters
         self._start = start
@@ -93,13 +93,13 @@ class SickDevice:
         self._line = BaudLine(self.baud, bits)
         self._tally = Tally()
         self._parser = TelegramParser(TO_SENSOR, self.baud, bits, self._tally, _SOURCE)
-        self._leaving: deque[tuple[int, int]] = deque()  # (time of the last byte, stamp), ns
-        self._boot(now_ns)
+        self._scans_in_transit: deque[tuple[int, int]] = deque()  # (time of the last byte, stamp), ns
+        self._start_boot(now_ns)
 
     def receive(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
         """Process bytes from the host at ``host_baud`` Bd; None: the rate is assumed to be right."""
         self._advance(now_ns)
-        if not self._awake or now_ns < self._occupied_until_ns or host_baud not in (None, self.baud):
+        if not self._is_booted or now_ns < self._busy_until_ns or host_baud not in (None, self.baud):
             self.bytes_ignored += len(data)
             return
         bad_crc = (_SOURCE, TelegramFault.BAD_CRC.value)
@@ -114,8 +114,8 @@ class SickDevice:
         """Advance to now; return the bytes that have arrived at the host since the last step."""
         self._advance(now_ns)
         arrived = self._line.read(now_ns)
-        while self._leaving and self._leaving[0][0] <= now_ns:
-            self.stamps.append(self._leaving.popleft()[1])
+        while self._scans_in_transit and self._scans_in_transit[0][0] <= now_ns:
+            self.stamps.append(self._scans_in_transit.popleft()[1])
             self.scans_emitted += 1
         return arrived
 
@@ -125,13 +125,13 @@ class SickDevice:
             return now_ns + tick_ns
         return min(self._complete_ns(), self._line.next_read_ns(now_ns, tick_ns))
 
-    def _boot(self, at_ns: int) -> None:
+    def _start_boot(self, at_ns: int) -> None:
         self._ready_ns = at_ns + round(self._start.boot_delay * _NS_PER_S)
-        self._awake = False
+        self._is_booted = False
         self._mode = Mode.NOTHING
         self._scan_requested = False
         self._in_installation = False
-        self._occupied_until_ns = at_ns
+        self._busy_until_ns = at_ns
         self._next_baud = (at_ns, self._start.power_on_baud)
 
     def _advance(self, now_ns: int) -> None:
@@ -139,8 +139,8 @@ class SickDevice:
         if now_ns >= change_ns and baud != self.baud:
             self.baud = self._line.baud = baud
             self._parser.set_baud(baud)
-        if not self._awake and now_ns >= self._ready_ns:
-            self._awake = True
+        if not self._is_booted and now_ns >= self._ready_ns:
+            self._is_booted = True
             self._send(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
         while self._mode is not Mode.NOTHING or self._scan_requested:
             complete_ns = self._complete_ns()
@@ -160,7 +160,7 @@ class SickDevice:
             ranges = np.fmin(ranges[0:-1:2], ranges[1::2])
         scan = RawScan(values_of(ranges, self._parameters), self.status)
         self._line.send(make_telegram(scan.payload(), FROM_SENSOR), complete_ns)
-        self._leaving.append((self._line.busy_until_ns, stamp_ns))
+        self._scans_in_transit.append((self._line.busy_until_ns, stamp_ns))
         self._scan_requested = False
 
     def _apply_command(self, command: bytes, now_ns: int) -> None:
@@ -170,12 +170,12 @@ class SickDevice:
             self._scan_requested = True
             return
         self._send(self._reply(command), now_ns + _REPLY_DELAY_NS)
-        self._occupied_until_ns = self._line.busy_until_ns
+        self._busy_until_ns = self._line.busy_until_ns
         if command == commands.RESET:
-            self._boot(self._occupied_until_ns)
-        elif self._sets_rate(command) and self._may_set_rate():
-            self._next_baud = (self._occupied_until_ns + _RATE_KEPT_NS, _BAUDS[command[1]])
-            self._occupied_until_ns += _RATE_SETTLES_NS
+            self._start_boot(self._busy_until_ns)
+        elif self._is_rate_command(command) and self._can_set_rate():
+            self._next_baud = (self._busy_until_ns + _RATE_CHANGE_DELAY_NS, _BAUDS[command[1]])
+            self._busy_until_ns += _RATE_SETTLING_NS
 
     def _reply(self, command: bytes) -> bytes:
         """Carry out a command and return its reply; reset and change of rate take effect after the reply."""
@@ -191,8 +191,8 @@ class SickDevice:
 
     def _change_mode(self, command: bytes) -> ModeResult:
         password = commands.PASSWORDS[self._parameters.model]
-        if self._sets_rate(command):
-            return ModeResult.OK if self._may_set_rate() else ModeResult.FAULT
+        if self._is_rate_command(command):
+            return ModeResult.OK if self._can_set_rate() else ModeResult.FAULT
         if command[1] == commands.installation_mode(b"")[1]:
             if command != commands.installation_mode(password):
                 return ModeResult.WRONG_PASSWORD
@@ -205,10 +205,10 @@ class SickDevice:
         self._mode = Mode(command[1])
         return ModeResult.OK
 
-    def _sets_rate(self, command: bytes) -> bool:
+    def _is_rate_command(self, command: bytes) -> bool:
         return len(command) == 2 and command[0] == commands.STOP[0] and command[1] in _BAUDS
 
-    def _may_set_rate(self) -> bool:
+    def _can_set_rate(self) -> bool:
         return self._in_installation or self._parameters.model == "lms"
 
     def _send(self, payload: bytes, at_ns: int) -> None:

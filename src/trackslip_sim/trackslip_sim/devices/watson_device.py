@@ -32,7 +32,7 @@ _SPACE_WINDOW_NS = 2_500_000_000  # after a reinitialise command
 _NORTH = ord("N")
 _INERTIAL_LABEL = "I"
 _REFERENCE_LABEL = "R"
-_STAMPS_KEPT = 10_000
+_MAX_STAMPS = 10_000
 
 
 class WatsonDevice:
@@ -59,28 +59,28 @@ class WatsonDevice:
         start_ns: int,
     ) -> None:
         self.lines_emitted = 0
-        self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
+        self.stamps: deque[int] = deque(maxlen=_MAX_STAMPS)
         self.north_offset_stored = False  # must stay False: no driver may store an offset
         self._layout = layout
         self._line = line
         self._measure = measure
         self._stored_label = _REFERENCE_LABEL if reference else _INERTIAL_LABEL
-        self._boot(start_ns, INITIALISATION_NS)
+        self._start_initialisation(start_ns, INITIALISATION_NS)
 
     def power_cycle(self, now_ns: int) -> None:
         """Lose and regain power: bytes on the line are lost, and the unit initialises."""
-        self._line.cut(now_ns)
-        self._boot(now_ns, INITIALISATION_NS)
+        self._line.discard_unread(now_ns)
+        self._start_initialisation(now_ns, INITIALISATION_NS)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Process bytes from the host: commands of one character each."""
         for byte in data:
-            self._command(byte, now_ns)
+            self._process_command(byte, now_ns)
 
     def step(self, now_ns: int) -> bytes:
         """The bytes that have left the line by now."""
         while self._next_ns <= now_ns:
-            sent = self._output(self._next_ns)
+            sent = self._encode_sample(self._next_ns)
             self._line.send(sent, self._next_ns)
             self.lines_emitted += 1
             self.stamps.append(self._next_ns)
@@ -92,7 +92,7 @@ class WatsonDevice:
         """Next time to call ``step``, whole ticks from now; see ``BaudLine.next_read_ns``."""
         return min(self._next_ns, self._line.next_read_ns(now_ns, tick_ns))
 
-    def _boot(self, now_ns: int, space_window_ns: int) -> None:
+    def _start_initialisation(self, now_ns: int, space_window_ns: int) -> None:
         """Send the banner and wait for the two spaces of command mode."""
         self._label = self._stored_label
         self._binary = False
@@ -103,30 +103,32 @@ class WatsonDevice:
         for text in BANNER:
             self._line.send(text, now_ns)
 
-    def _output(self, stamp_ns: int) -> bytes:
+    def _encode_sample(self, stamp_ns: int) -> bytes:
         """The line or frame measured at ``stamp_ns``."""
         sample = self._measure(stamp_ns)
         values = from_sample(sample)
         if self._binary:
             return encode_frame(values, self._layout)
-        beyond = any(abs(values[c.name]) > c.max_value for c in self._layout.channels if c.name in values)
-        label = self._label.lower() if sample.over_range or beyond else self._label
+        is_over_range = any(
+            abs(values[c.name]) > c.max_value for c in self._layout.channels if c.name in values
+        )
+        label = self._label.lower() if sample.over_range or is_over_range else self._label
         return encode_line(label, values, self._layout)
 
-    def _command(self, byte: int, now_ns: int) -> None:
+    def _process_command(self, byte: int, now_ns: int) -> None:
         """Process one character; all commands but reinitialise require the two spaces before."""
         command = bytes([byte])
         if command == REINITIALISE:
-            self._boot(now_ns, _SPACE_WINDOW_NS)
+            self._start_initialisation(now_ns, _SPACE_WINDOW_NS)
         elif self._spaces < len(COMMAND_MODE):
             in_time = now_ns <= self._spaces_until_ns
             self._spaces = self._spaces + 1 if command in COMMAND_MODE and in_time else 0
         else:
-            self._change(command)
+            self._set_output(command)
             self.north_offset_stored |= self._north_armed and byte == _NORTH
             self._north_armed = command == REFERENCE
 
-    def _change(self, command: bytes) -> None:
+    def _set_output(self, command: bytes) -> None:
         """Change output format or mode."""
         if command in (DECIMAL, BINARY):
             self._binary = command == BINARY

@@ -38,7 +38,7 @@ class Recording:
     def write(self) -> None:
         """Write all added records to the bag and clear them."""
         messages = {
-            topic: iter(self._serializers.get(topic, _one_by_one)(records))
+            topic: iter(self._serializers.get(topic, _serialize_each)(records))
             for topic, records in self._records.items()
         }
         known = {topic: (absolute(topic), TOPICS[topic].type_name) for topic in messages}
@@ -48,11 +48,11 @@ class Recording:
         self._records.clear()
 
 
-def _one_by_one(messages: Sequence[Any]) -> Iterable[bytes]:
+def _serialize_each(messages: Sequence[Any]) -> Iterable[bytes]:
     return map(serialize, messages)
 
 
-def like(blank: Any, columns: Callable[[Sequence[Any]], Columns]) -> Serialize:
+def column_serializer(blank: Any, columns: Callable[[Sequence[Any]], Columns]) -> Serialize:
     """A serializer of messages equal to ``blank`` except for the columns of their records."""
     layout = MessageColumns(blank)
     return lambda records: layout.serialize(columns(records))
@@ -64,15 +64,17 @@ def sensor_serializers(watson: WatsonParameters, base_frame: str) -> dict[str, S
     imu = conversions.blank_imu(make, watson.frame_id, *stddevs)
     field = conversions.blank_magnetic_field(make, watson.frame_id, watson.magnetic_field_stddev)
     return {
-        "sprockets": like(conversions.blank_joint_state(make, base_frame), _sprockets),
-        "swing": like(conversions.blank_swing(make, base_frame), _swings),
-        "hydraulics": like(conversions.blank_track_hydraulics(make, base_frame), _hydraulics),
-        "imu/data_raw": like(imu, _imu),
-        "imu/mag": like(field, _field),
+        "sprockets": column_serializer(conversions.blank_joint_state(make, base_frame), _sprocket_columns),
+        "swing": column_serializer(conversions.blank_swing(make, base_frame), _swing_columns),
+        "hydraulics": column_serializer(
+            conversions.blank_track_hydraulics(make, base_frame), _hydraulics_columns
+        ),
+        "imu/data_raw": column_serializer(imu, _imu_columns),
+        "imu/mag": column_serializer(field, _field_columns),
     }
 
 
-def _sprockets(samples: Sequence[SprocketSample]) -> Columns:
+def _sprocket_columns(samples: Sequence[SprocketSample]) -> Columns:
     return {
         **stamp_columns([s.stamp_ns for s in samples]),
         "position": np.array([(s.left_position, s.right_position) for s in samples]),
@@ -80,7 +82,7 @@ def _sprockets(samples: Sequence[SprocketSample]) -> Columns:
     }
 
 
-def _swings(samples: Sequence[SwingSample]) -> Columns:
+def _swing_columns(samples: Sequence[SwingSample]) -> Columns:
     return {
         **stamp_columns([s.stamp_ns for s in samples]),
         "position": np.array([[s.position] for s in samples]),
@@ -88,26 +90,26 @@ def _swings(samples: Sequence[SwingSample]) -> Columns:
     }
 
 
-def _hydraulics(samples: Sequence[HydraulicsSample]) -> Columns:
+def _hydraulics_columns(samples: Sequence[HydraulicsSample]) -> Columns:
     names = ("left_pressure", "right_pressure", "left_spool", "right_spool", "supply_pressure")
     columns = {name: np.array([getattr(s, name) for s in samples]) for name in names}
     return {**stamp_columns([s.stamp_ns for s in samples]), **columns}
 
 
-def _imu(samples: Sequence[ImuSample]) -> Columns:
+def _imu_columns(samples: Sequence[ImuSample]) -> Columns:
     return {
         **stamp_columns([s.stamp_ns for s in samples]),
-        **_vectors("angular_velocity", [s.angular_velocity for s in samples]),
-        **_vectors("linear_acceleration", [s.acceleration for s in samples]),
+        **_vector_columns("angular_velocity", [s.angular_velocity for s in samples]),
+        **_vector_columns("linear_acceleration", [s.acceleration for s in samples]),
     }
 
 
-def _field(samples: Sequence[ImuSample]) -> Columns:
+def _field_columns(samples: Sequence[ImuSample]) -> Columns:
     return {
         **stamp_columns([s.stamp_ns for s in samples]),
-        **_vectors("magnetic_field", [s.magnetic_field for s in samples]),
+        **_vector_columns("magnetic_field", [s.magnetic_field for s in samples]),
     }
 
 
-def _vectors(name: str, vectors: Sequence[Any]) -> Columns:
+def _vector_columns(name: str, vectors: Sequence[Any]) -> Columns:
     return dict(zip((f"{name}.x", f"{name}.y", f"{name}.z"), np.array(vectors).T, strict=True))

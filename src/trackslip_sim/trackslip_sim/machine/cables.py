@@ -14,7 +14,7 @@ from trackslip_sim.machine.faults import GNSS, SICK, UNPLUG, WATSON
 from trackslip_sim.parameters import EmulatorParameters
 
 
-class Cables:
+class EmulatorPorts:
     """Bus and ports, opened at construction.
 
     Raises:
@@ -43,7 +43,7 @@ class Cables:
             OSError: bus or port failed.
         """
         for sensor, port in self._ports.items():
-            plugged = excavator.faults.at(sensor, UNPLUG, now_ns) is None
+            plugged = excavator.faults.active_fault(sensor, UNPLUG, now_ns) is None
             if plugged and not port.plugged:
                 port.plug()
             elif not plugged:

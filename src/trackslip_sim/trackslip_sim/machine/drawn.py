@@ -22,10 +22,10 @@ from scipy.signal import lfilter
 
 from trackslip_common.arrays import FloatArray
 
-STEADY, STEADY_TURN, CHANGING = 0.0024, 0.001, 0.042  # shares of V and of d
-CORRELATION = 0.14  # s, τ
+SPEED_ERROR, TURN_ERROR, SPEED_CHANGE_ERROR = 0.0024, 0.001, 0.042  # shares of V and of d
+CORRELATION_TIME = 0.14  # s, τ
 GYRO_SCALE, ASYMMETRY, RADIUS, FIX_DELAY = 0.02, 0.02, 0.01, 0.1  # largest deviations of a machine
-_MEMORY = 0.5  # s, time constant of the recent mean
+_MEAN_TIME = 0.5  # s, time constant of the recent mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class MotionErrors:
     ) -> None:
         """``period``: s between two samples."""
         self._machine, self._tread, self._random = machine, tread, random
-        kept, slow = math.exp(-period / CORRELATION), math.exp(-period / _MEMORY)
+        kept, slow = math.exp(-period / CORRELATION_TIME), math.exp(-period / _MEAN_TIME)
         self._noise = ([math.sqrt(1.0 - kept * kept)], [1.0, -kept])
         self._mean = ([1.0 - slow], [1.0, -slow])
         self._noise_state = kept * random.standard_normal((1, 2))
@@ -82,18 +82,18 @@ class MotionErrors:
         V, d = tracks.mean(axis=1), np.abs(tracks - mean).max(axis=1)
         beyond = math.sqrt(machine.velocity_errors**2 - 1.0)
         found = machine.radius * twists
-        found[:, 0] += beyond * np.hypot(STEADY * V, CHANGING * d) * errors[:, 0]
-        found[:, 2] += beyond * np.hypot(STEADY_TURN * V, CHANGING * d) * errors[:, 1] / self._tread
+        found[:, 0] += beyond * np.hypot(SPEED_ERROR * V, SPEED_CHANGE_ERROR * d) * errors[:, 0]
+        found[:, 2] += beyond * np.hypot(TURN_ERROR * V, SPEED_CHANGE_ERROR * d) * errors[:, 1] / self._tread
         found[:, 2] += machine.asymmetry * V
         return np.asarray(found)
 
 
-def interpolated(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
+def interpolate_columns(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
     """(k, m) columns (n, m), given at times ``t`` (n,), interpolated at ``times`` (k,), s."""
     return np.stack([np.interp(times, t, column) for column in columns.T], axis=1)
 
 
-def integrated(twists: FloatArray, period: float, start: FloatArray) -> FloatArray:
+def integrate_twists(twists: FloatArray, period: float, start: FloatArray) -> FloatArray:
     """(n, 3) poses after each of n periods, from a pose (3,) and twists (n, 3) at the periods' ends."""
     yaw = start[2] + period * np.cumsum(twists[:, 2])
     halfway = yaw - 0.5 * period * twists[:, 2]

@@ -56,7 +56,7 @@ class InertialUnit:
         return found
 
 
-def drive(p: EmulatorParameters) -> Truth:
+def simulate_drive(p: EmulatorParameters) -> Truth:
     """The true motion of the drive in the parameters.
 
     Raises:
@@ -104,7 +104,7 @@ class EmulatedExcavator:
         placement = self._placement_of[p.vehicle.mount_of("antenna")]
         antenna = GnssModel(p.mounted_gnss(), placement, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
-        self._next_of: dict[str, Callable[[int, int], int]] = {
+        self._next_step_ns: dict[str, Callable[[int, int], int]] = {
             CAN: lambda *_: self.can.next_ns,
             WATSON: self._next_inertial_ns,
             SICK: self.sick.next_ns,
@@ -116,7 +116,7 @@ class EmulatedExcavator:
             SICK: self.sick.power_cycle,
             GNSS: self.gnss.power_cycle,
         }
-        self._without_power: set[str] = set()
+        self._unpowered_sensors: set[str] = set()
         self._bus = FaultyBus(CAN, self.faults, p.seed)
         self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK, GNSS)}
 
@@ -125,18 +125,18 @@ class EmulatedExcavator:
         if self.faults:
             return now_ns + tick_ns
         if now_ns < self.end_ns:
-            return self._next_of[sensor](now_ns, tick_ns)
+            return self._next_step_ns[sensor](now_ns, tick_ns)
         draining = {WATSON: self._watson_line, GNSS: self._gnss_line}
         return draining[sensor].next_read_ns(now_ns, tick_ns) if sensor in draining else NEVER_NS
 
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""
-        frames = self.can.step(min(now_ns, self.end_ns)) if self._powered(CAN, now_ns) else []
+        frames = self.can.step(min(now_ns, self.end_ns)) if self._update_power(CAN, now_ns) else []
         return self._bus.transmit(frames, now_ns)
 
     def step_watson(self, now_ns: int) -> bytes:
         """Characters sent by now; the last line is completed after the end of the drive."""
-        return self._sent(WATSON, self.watson, self._watson_line, now_ns)
+        return self._transmitted(WATSON, self.watson, self._watson_line, now_ns)
 
     def step_inertial(self, now_ns: int) -> list[ImuSample]:
         """Samples due by now of an inertial unit other than a Watson; faults of bytes do not apply."""
@@ -147,12 +147,12 @@ class EmulatedExcavator:
     def step_sick(self, now_ns: int) -> bytes:
         """Characters sent by now."""
         self.sick.status = self._readings.status(now_ns)
-        on = self._powered(SICK, now_ns) and now_ns < self.end_ns
+        on = self._update_power(SICK, now_ns) and now_ns < self.end_ns
         return self._lines[SICK].transmit(self.sick.step(now_ns) if on else b"", now_ns)
 
     def step_gnss(self, now_ns: int) -> bytes:
         """Characters sent by now; the last burst is completed after the end of the drive."""
-        return self._sent(GNSS, self.gnss, self._gnss_line, now_ns)
+        return self._transmitted(GNSS, self.gnss, self._gnss_line, now_ns)
 
     def receive_watson(self, data: bytes, now_ns: int) -> None:
         """Pass bytes from the host to the inertial unit."""
@@ -182,9 +182,11 @@ class EmulatedExcavator:
         next_ns = self.watson.next_ns(now_ns, tick_ns)
         return next_ns if self.inertial is None else min(next_ns, self.inertial.next_ns)
 
-    def _sent(self, sensor: str, device: WatsonDevice | NmeaDevice, line: BaudLine, now_ns: int) -> bytes:
+    def _transmitted(
+        self, sensor: str, device: WatsonDevice | NmeaDevice, line: BaudLine, now_ns: int
+    ) -> bytes:
         sent = b""
-        if self._powered(sensor, now_ns):
+        if self._update_power(sensor, now_ns):
             sent = device.step(now_ns) if now_ns < self.end_ns else line.read(now_ns)
         return self._lines[sensor].transmit(sent, now_ns)
 
@@ -192,18 +194,20 @@ class EmulatedExcavator:
         poses = self._poses_of[self._vehicle.mount_of("box")]
         return self._scanner.scan(self.sensors.time(stamp_ns), poses)
 
-    def _powered(self, sensor: str, now_ns: int) -> bool:
+    def _update_power(self, sensor: str, now_ns: int) -> bool:
         """Whether the sensor has power; boots it when the power returns."""
-        if self.faults.at(sensor, POWER_CYCLE, now_ns) is not None:
-            self._without_power.add(sensor)
-        elif sensor in self._without_power:
-            self._without_power.remove(sensor)
+        if self.faults.active_fault(sensor, POWER_CYCLE, now_ns) is not None:
+            self._unpowered_sensors.add(sensor)
+        elif sensor in self._unpowered_sensors:
+            self._unpowered_sensors.remove(sensor)
             self._power_on[sensor](now_ns)
-        return sensor not in self._without_power
+        return sensor not in self._unpowered_sensors
 
     def _can_receive(self, sensor: str, now_ns: int) -> bool:
-        deaf = any(self.faults.at(sensor, kind, now_ns) is not None for kind in (UNPLUG, WRONG_BAUD))
-        return self._powered(sensor, now_ns) and not deaf
+        is_disconnected = any(
+            self.faults.active_fault(sensor, kind, now_ns) is not None for kind in (UNPLUG, WRONG_BAUD)
+        )
+        return self._update_power(sensor, now_ns) and not is_disconnected
 
 
 def _inertial_unit(

@@ -17,7 +17,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
-from trackslip_sim.scenarios.checks import number, refuse_unknown, text
+from trackslip_sim.scenarios.checks import check_keys, read_number, read_text
 
 CAN, WATSON, SICK, GNSS = SENSORS = ("can", "watson", "sick", "gnss")
 _SERIAL = (WATSON, SICK, GNSS)
@@ -27,7 +27,7 @@ _KEYS = ("sensor", "kind", "start", "duration", "value")
 
 
 @dataclass(frozen=True)
-class Kind:
+class FaultKind:
     """A kind of fault: its sensors, and the meaning of ``value`` (0 < value ≤ largest; empty: no value)."""
 
     sensors: tuple[str, ...]
@@ -56,29 +56,29 @@ MULTIPATH = "multipath"
 CLOCK_STEP = "clock_step"
 
 _SHARE_OF_BYTES = "share of all bytes"
-KINDS: Mapping[str, Kind] = MappingProxyType(
+KINDS: Mapping[str, FaultKind] = MappingProxyType(
     {
-        POWER_CYCLE: Kind(SENSORS),  # off for the duration, then boots
-        UNPLUG: Kind(SENSORS),  # a serial port disappears, a bus is silent; the sensor keeps running
-        LOST_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
-        DOUBLED_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
-        CORRUPTED_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
-        WRONG_BAUD: Kind(_SERIAL),  # both ends receive noise
-        BUS_OFF: Kind((CAN,)),  # an error frame, silence, then the error frame "restarted"
-        LOST_FRAMES: Kind((CAN,), "share of all frames"),
-        BURSTS: Kind(SENSORS, "s for which all is held back, to come at once", 60.0),
-        STUCK: Kind(SENSORS),  # repeats the measurement at the fault's begin
-        NOISE: Kind((CAN, WATSON, SICK), "standard deviation, as a share of full scale"),
-        POLLUTION: Kind((SICK,)),
-        OCCLUSION: Kind((SICK,), "rad around the middle beam that something near covers", math.pi),
-        GLARE: Kind((SICK,), "share of the rays that are dazzled"),
-        RTK_FLOAT: Kind((GNSS,)),  # ambiguities are no longer fixed
-        CODE_ONLY: Kind((GNSS,)),  # corrections are lost
-        NO_FIX: Kind((GNSS,)),  # too few satellites
-        MULTIPATH: Kind(
+        POWER_CYCLE: FaultKind(SENSORS),  # off for the duration, then boots
+        UNPLUG: FaultKind(SENSORS),  # a serial port disappears, a bus is silent; the sensor keeps running
+        LOST_BYTES: FaultKind(SENSORS, _SHARE_OF_BYTES),
+        DOUBLED_BYTES: FaultKind(SENSORS, _SHARE_OF_BYTES),
+        CORRUPTED_BYTES: FaultKind(SENSORS, _SHARE_OF_BYTES),
+        WRONG_BAUD: FaultKind(_SERIAL),  # both ends receive noise
+        BUS_OFF: FaultKind((CAN,)),  # an error frame, silence, then the error frame "restarted"
+        LOST_FRAMES: FaultKind((CAN,), "share of all frames"),
+        BURSTS: FaultKind(SENSORS, "s for which all is held back, to come at once", 60.0),
+        STUCK: FaultKind(SENSORS),  # repeats the measurement at the fault's begin
+        NOISE: FaultKind((CAN, WATSON, SICK), "standard deviation, as a share of full scale"),
+        POLLUTION: FaultKind((SICK,)),
+        OCCLUSION: FaultKind((SICK,), "rad around the middle beam that something near covers", math.pi),
+        GLARE: FaultKind((SICK,), "share of the rays that are dazzled"),
+        RTK_FLOAT: FaultKind((GNSS,)),  # ambiguities are no longer fixed
+        CODE_ONLY: FaultKind((GNSS,)),  # corrections are lost
+        NO_FIX: FaultKind((GNSS,)),  # too few satellites
+        MULTIPATH: FaultKind(
             (GNSS,), "m eastward that the position is off, of which the receiver knows nothing", 100.0
         ),
-        CLOCK_STEP: Kind((GNSS,), "s that its clock is ahead of UTC", 86_400.0),
+        CLOCK_STEP: FaultKind((GNSS,), "s that its clock is ahead of UTC", 86_400.0),
     }
 )
 
@@ -95,7 +95,7 @@ class Fault:
     kind: str
     start: float  # s of the drive
     duration: float  # s
-    value: float = 0.0  # meaning and unit as in its ``Kind``
+    value: float = 0.0  # meaning and unit as in its ``FaultKind``
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -131,10 +131,10 @@ def read_fault(tree: Mapping[str, Any]) -> Fault:
     Raises:
         InputError: a key is missing or unknown, or a value is refused.
     """
-    refuse_unknown(tree, _KEYS)
-    value = number(tree, "value") if "value" in tree else 0.0
-    sensor, kind = text(tree, "sensor"), text(tree, "kind")
-    return Fault(sensor, kind, number(tree, "start"), number(tree, "duration"), value)
+    check_keys(tree, _KEYS)
+    value = read_number(tree, "value") if "value" in tree else 0.0
+    sensor, kind = read_text(tree, "sensor"), read_text(tree, "kind")
+    return Fault(sensor, kind, read_number(tree, "start"), read_number(tree, "duration"), value)
 
 
 def parse_fault(yaml_text: str, now: float) -> Fault:
@@ -180,21 +180,21 @@ class Faults:
         """Seconds of the drive."""
         return (now_ns - self._start_ns) / _NS_PER_S
 
-    def at(self, sensor: str, kind: str, now_ns: int) -> Fault | None:
+    def active_fault(self, sensor: str, kind: str, now_ns: int) -> Fault | None:
         """The active fault of a kind; the one added last if there are several."""
         if not self._faults:
             return None
         now = self.time(now_ns)
         for fault in reversed(self._faults):
-            if fault.sensor == sensor and fault.kind == kind and _covers(fault, now):
+            if fault.sensor == sensor and fault.kind == kind and _is_active(fault, now):
                 return fault
         return None
 
-    def at_work(self, now_ns: int) -> list[Fault]:
+    def active_faults(self, now_ns: int) -> list[Fault]:
         """All active faults."""
         now = self.time(now_ns)
-        return [fault for fault in self._faults if _covers(fault, now)]
+        return [fault for fault in self._faults if _is_active(fault, now)]
 
 
-def _covers(fault: Fault, now: float) -> bool:
+def _is_active(fault: Fault, now: float) -> bool:
     return fault.start <= now < fault.start + fault.duration

@@ -20,25 +20,25 @@ _FRAME_LENGTH = 8  # largest payload, bytes
 _NS_PER_S = 1_000_000_000
 
 
-class _HeldBack(Generic[T]):
+class _BurstBuffer(Generic[T]):
     """Passes items through, or holds them until the next multiple of the fault's value."""
 
     def __init__(self) -> None:
-        self._held: list[T] = []
+        self._buffer: list[T] = []
         self._burst = 0
 
     def __bool__(self) -> bool:
         """Whether any item is held."""
-        return bool(self._held)
+        return bool(self._buffer)
 
-    def transmit(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
+    def transmit(self, items: Sequence[T], fault: Fault | None, now: float) -> list[T]:
         """The items released at ``now``, s."""
-        self._held += things
+        self._buffer += items
         burst = 0 if fault is None else int((now - fault.start) / fault.value)
         if fault is not None and burst == self._burst:
             return []
         self._burst = burst
-        out, self._held = self._held, []
+        out, self._buffer = self._buffer, []
         return out
 
 
@@ -48,20 +48,20 @@ class FaultySerial:
     def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
         self._sensor = sensor
         self._faults = faults
-        self._bytes = _BadBytes(sensor, faults, np.random.default_rng(seed))
-        self._held: _HeldBack[int] = _HeldBack()
+        self._bytes = _ByteFaults(sensor, faults, np.random.default_rng(seed))
+        self._buffer: _BurstBuffer[int] = _BurstBuffer()
 
     def transmit(self, data: bytes, now_ns: int) -> bytes:
         """The bytes that arrive now."""
-        if not self._faults and not self._held:
+        if not self._faults and not self._buffer:
             return data
-        if self._faults.at(self._sensor, f.UNPLUG, now_ns) is not None:
+        if self._faults.active_fault(self._sensor, f.UNPLUG, now_ns) is not None:
             return b""
-        if self._faults.at(self._sensor, f.WRONG_BAUD, now_ns) is not None:
+        if self._faults.active_fault(self._sensor, f.WRONG_BAUD, now_ns) is not None:
             data = self._bytes.noise(len(data))
-        bursts = self._faults.at(self._sensor, f.BURSTS, now_ns)
+        bursts = self._faults.active_fault(self._sensor, f.BURSTS, now_ns)
         data = self._bytes.corrupt(data, now_ns)
-        return bytes(self._held.transmit(data, bursts, self._faults.time(now_ns)))
+        return bytes(self._buffer.transmit(data, bursts, self._faults.time(now_ns)))
 
 
 class FaultyBus:
@@ -71,31 +71,31 @@ class FaultyBus:
         self._sensor = sensor
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._bytes = _BadBytes(sensor, faults, self._random)
-        self._held: _HeldBack[Frame] = _HeldBack()
-        self._off = False
+        self._bytes = _ByteFaults(sensor, faults, self._random)
+        self._buffer: _BurstBuffer[Frame] = _BurstBuffer()
+        self._is_off = False
 
     def transmit(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
         """The frames on the bus now."""
-        if not (self._faults or self._held or self._off):
+        if not (self._faults or self._buffer or self._is_off):
             return list(frames)
-        was_off, self._off = self._off, self._at(f.BUS_OFF, now_ns) is not None
-        if self._off:
+        was_off, self._is_off = self._is_off, self._active_fault(f.BUS_OFF, now_ns) is not None
+        if self._is_off:
             return [] if was_off else [BUS_OFF_FRAME]
-        lost = self._at(f.LOST_FRAMES, now_ns)
-        if self._at(f.UNPLUG, now_ns) is not None:
+        lost = self._active_fault(f.LOST_FRAMES, now_ns)
+        if self._active_fault(f.UNPLUG, now_ns) is not None:
             frames = []
         elif lost is not None:
             frames = [frame for frame in frames if self._random.random() >= lost.value]
         frames = [(name, self._bytes.corrupt(data, now_ns)[:_FRAME_LENGTH]) for name, data in frames]
-        out = self._held.transmit(frames, self._at(f.BURSTS, now_ns), self._faults.time(now_ns))
+        out = self._buffer.transmit(frames, self._active_fault(f.BURSTS, now_ns), self._faults.time(now_ns))
         return [RESTARTED_FRAME, *out] if was_off else out
 
-    def _at(self, kind: str, now_ns: int) -> Fault | None:
-        return self._faults.at(self._sensor, kind, now_ns)
+    def _active_fault(self, kind: str, now_ns: int) -> Fault | None:
+        return self._faults.active_fault(self._sensor, kind, now_ns)
 
 
-class _BadBytes:
+class _ByteFaults:
     """Drops, doubles and changes bytes at the rates of the faults."""
 
     def __init__(self, sensor: str, faults: Faults, random: np.random.Generator) -> None:
@@ -107,27 +107,27 @@ class _BadBytes:
         """The bytes as they arrive."""
         if not data:
             return data
-        if lost := self._faults.at(self._sensor, f.LOST_BYTES, now_ns):
+        if lost := self._faults.active_fault(self._sensor, f.LOST_BYTES, now_ns):
             data = bytes(
-                byte for byte, is_lost in zip(data, self._chosen(data, lost), strict=True) if not is_lost
+                byte for byte, is_lost in zip(data, self._is_affected(data, lost), strict=True) if not is_lost
             )
-        if doubled := self._faults.at(self._sensor, f.DOUBLED_BYTES, now_ns):
-            chosen = self._chosen(data, doubled)
+        if doubled := self._faults.active_fault(self._sensor, f.DOUBLED_BYTES, now_ns):
+            chosen = self._is_affected(data, doubled)
             data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, chosen, strict=True))
-        if corrupted := self._faults.at(self._sensor, f.CORRUPTED_BYTES, now_ns):
-            data = corrupt(data, corrupted.value, self._random)
+        if corrupted := self._faults.active_fault(self._sensor, f.CORRUPTED_BYTES, now_ns):
+            data = corrupt_bytes(data, corrupted.value, self._random)
         return data
 
     def noise(self, count: int) -> bytes:
         """Random bytes, as received at a wrong baud rate."""
         return self._random.bytes(count)
 
-    def _chosen(self, data: bytes, fault: Fault) -> list[bool]:
+    def _is_affected(self, data: bytes, fault: Fault) -> list[bool]:
         chosen: list[bool] = (self._random.random(len(data)) < fault.value).tolist()
         return chosen
 
 
-def corrupt(data: bytes, rate: float, random: np.random.Generator) -> bytes:
+def corrupt_bytes(data: bytes, rate: float, random: np.random.Generator) -> bytes:
     """The bytes, each changed to a random other one with probability ``rate``."""
     values = np.frombuffer(data, dtype=np.uint8)
     change = random.integers(1, 256, len(values), dtype=np.uint8)

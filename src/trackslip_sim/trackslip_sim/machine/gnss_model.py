@@ -26,12 +26,12 @@ from trackslip_sim.machine import faults as f
 from trackslip_sim.machine.faults import Faults
 from trackslip_sim.machine.placement import Placement
 
-_FIXED_SPREAD = 0.5  # time-correlated share of a fixed solution's variance; the rest is white
+_FIXED_CORRELATED_SHARE = 0.5  # time-correlated share of a fixed solution's variance; the rest is white
 _FIXED_TIME = 5.0  # s, correlation time
-_UP_SHARE = 2.0  # error of an altitude over that of the position
+_UP_RATIO = 2.0  # error of an altitude over that of the position
 _CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m; s, correlation time
 _NS_PER_S = 1_000_000_000
-_APART_NS = 10_000_000  # half the interval of the central difference for the velocity
+_VELOCITY_STEP_NS = 10_000_000  # half the interval of the central difference for the velocity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +61,14 @@ class _GaussMarkov:
     def __init__(self, stddev: float, time: float) -> None:
         self._stddev, self._time = stddev, time
         self._value: FloatArray | None = None
-        self._at = 0.0
+        self._last_time = 0.0
 
-    def at(self, t: float, normal: FloatArray) -> FloatArray:
-        """The process (k,) at ``t``, m; ``normal`` (k,) are its standard normal draws."""
-        kept = 0.0 if self._value is None else math.exp(-abs(t - self._at) / self._time)
+    def advance(self, t: float, normal: FloatArray) -> FloatArray:
+        """Advance to time ``t``; return the process (k,), m, from standard normal draws ``normal`` (k,)."""
+        kept = 0.0 if self._value is None else math.exp(-abs(t - self._last_time) / self._time)
         before = np.zeros_like(normal) if self._value is None else self._value
         self._value = kept * before + math.sqrt(1.0 - kept * kept) * self._stddev * normal
-        self._at = t
+        self._last_time = t
         return self._value
 
 
@@ -93,94 +93,95 @@ class GnssModel:
         self._placement = placement
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._of_altitude = np.random.default_rng((seed, 1))  # separate: the other draws stay unchanged
-        self._of_velocity = np.random.default_rng((seed, 2))
-        self._correlated, self._correlated_up = self._processes(1.0), self._processes(_UP_SHARE)
+        self._altitude_random = np.random.default_rng((seed, 1))  # separate: the other draws stay unchanged
+        self._velocity_random = np.random.default_rng((seed, 2))
+        self._correlated, self._correlated_up = self._error_processes(1.0), self._error_processes(_UP_RATIO)
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
-        self._held: Placement | None = None
+        self._stuck_placement: Placement | None = None
 
     def measure(self, stamp_ns: int, best: int) -> Position:
         """The receiver's solution, of quality ``best`` or worse."""
         p, quality = self._p, self._quality(best, stamp_ns)
-        east, north, up = self._error(stamp_ns, quality)
+        east, north, up = self._position_error(stamp_ns, quality)
         heading_error = p.heading_stddev * self._random.standard_normal()
-        ahead = self._faults.at(f.GNSS, f.CLOCK_STEP, stamp_ns)
-        time_ns = stamp_ns + (round(ahead.value * _NS_PER_S) if ahead is not None else 0)
+        clock_step = self._faults.active_fault(f.GNSS, f.CLOCK_STEP, stamp_ns)
+        time_ns = stamp_ns + (round(clock_step.value * _NS_PER_S) if clock_step is not None else 0)
         if quality == 0:
             return Position(time_ns)
-        machine = self._machine(stamp_ns)
-        x, y, z = machine.point(p.antenna_x, p.antenna_y, p.antenna_z)
+        machine = self._true_placement(stamp_ns)
+        x, y, z = machine.to_site(p.antenna_x, p.antenna_y, p.antenna_z)
         site = p.latitude, p.longitude, p.altitude
         latitude, longitude, altitude = pymap3d.enu2geodetic(x + east, y + north, z + up, *site)
-        at = Position(
+        position = Position(
             time_ns,
             float(latitude),
             float(longitude),
             float(altitude),
             quality,
             stddev=self._stddevs[quality],
-            up_stddev=_UP_SHARE * self._stddevs[quality],
+            up_stddev=_UP_RATIO * self._stddevs[quality],
         )
         speed, course = self._velocity(stamp_ns)
-        at = at._replace(speed=speed, course=course)
+        position = position._replace(speed=speed, course=course)
         if p.heading_stddev == 0.0:
-            return at
+            return position
         heading = heading_of_yaw(machine.azimuth(p.heading_offset) + heading_error)
-        return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
+        return position._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
 
     def _velocity(self, stamp_ns: int) -> tuple[float, float]:
         """Speed, m/s, and course, °, of the antenna; a stuck receiver measures noise about 0."""
         arm = self._p.antenna_x, self._p.antenna_y, self._p.antenna_z
-        error, velocity = self._p.velocity_stddev * self._of_velocity.standard_normal(2), np.zeros(2)
-        if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
+        error, velocity = self._p.velocity_stddev * self._velocity_random.standard_normal(2), np.zeros(2)
+        if self._faults.active_fault(f.GNSS, f.STUCK, stamp_ns) is None:
             before, after = (
-                np.array(self._placement(stamp_ns + apart_ns).point(*arm)[:2])
-                for apart_ns in (-_APART_NS, _APART_NS)
+                np.array(self._placement(stamp_ns + apart_ns).to_site(*arm)[:2])
+                for apart_ns in (-_VELOCITY_STEP_NS, _VELOCITY_STEP_NS)
             )
-            velocity = (after - before) / (2e-9 * _APART_NS)
+            velocity = (after - before) / (2e-9 * _VELOCITY_STEP_NS)
         east, north = (velocity + error).tolist()
         return math.hypot(east, north), heading_of_yaw(math.atan2(north, east))
 
-    def _processes(self, share: float) -> dict[int, _GaussMarkov]:
+    def _error_processes(self, share: float) -> dict[int, _GaussMarkov]:
         """Time-correlated errors by quality, scaled by ``share``."""
         p = self._p
         return {
-            FIXED: _GaussMarkov(share * p.fixed_stddev * math.sqrt(_FIXED_SPREAD), _FIXED_TIME),
+            FIXED: _GaussMarkov(share * p.fixed_stddev * math.sqrt(_FIXED_CORRELATED_SHARE), _FIXED_TIME),
             FLOAT: _GaussMarkov(share * p.float_stddev, p.float_time),
             SINGLE: _GaussMarkov(share * _CODE_STDDEV, _CODE_TIME),
         }
 
-    def _error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
+    def _position_error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
         """Position error east, north, up, m; all processes advance, whatever the quality."""
         normal = self._random.standard_normal((len(self._correlated), 2))
         t = stamp_ns / _NS_PER_S
         errors = {
-            q: process.at(t, n) for (q, process), n in zip(self._correlated.items(), normal, strict=True)
+            q: process.advance(t, n) for (q, process), n in zip(self._correlated.items(), normal, strict=True)
         }
-        of_up = self._of_altitude.standard_normal((len(self._correlated), 1))
+        of_up = self._altitude_random.standard_normal((len(self._correlated), 1))
         ups = {
-            q: process.at(t, n) for (q, process), n in zip(self._correlated_up.items(), of_up, strict=True)
+            q: process.advance(t, n)
+            for (q, process), n in zip(self._correlated_up.items(), of_up, strict=True)
         }
         white = self._random.standard_normal(3)
         east, north = errors.get(quality, np.zeros(2))
-        spread = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_SPREAD)
-        step = self._faults.at(f.GNSS, f.MULTIPATH, stamp_ns)
+        spread = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_CORRELATED_SHARE)
+        step = self._faults.active_fault(f.GNSS, f.MULTIPATH, stamp_ns)
         if step is not None:
             east += step.value
-        up = ups.get(quality, np.zeros(1))[0] + _UP_SHARE * spread * white[2]
+        up = ups.get(quality, np.zeros(1))[0] + _UP_RATIO * spread * white[2]
         return float(east + spread * white[0]), float(north + spread * white[1]), float(up)
 
-    def _machine(self, stamp_ns: int) -> Placement:
+    def _true_placement(self, stamp_ns: int) -> Placement:
         """The true placement; while stuck the one at the begin of the fault."""
-        if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
-            self._held = None
+        if self._faults.active_fault(f.GNSS, f.STUCK, stamp_ns) is None:
+            self._stuck_placement = None
             return self._placement(stamp_ns)
-        self._held = self._held or self._placement(stamp_ns)
-        return self._held
+        self._stuck_placement = self._stuck_placement or self._placement(stamp_ns)
+        return self._stuck_placement
 
     def _quality(self, best: int, stamp_ns: int) -> int:
-        if self._faults.at(f.GNSS, f.NO_FIX, stamp_ns):
+        if self._faults.active_fault(f.GNSS, f.NO_FIX, stamp_ns):
             return 0
-        if best == SINGLE or self._faults.at(f.GNSS, f.CODE_ONLY, stamp_ns):
+        if best == SINGLE or self._faults.active_fault(f.GNSS, f.CODE_ONLY, stamp_ns):
             return SINGLE
-        return FLOAT if best == FLOAT or self._faults.at(f.GNSS, f.RTK_FLOAT, stamp_ns) else FIXED
+        return FLOAT if best == FLOAT or self._faults.active_fault(f.GNSS, f.RTK_FLOAT, stamp_ns) else FIXED

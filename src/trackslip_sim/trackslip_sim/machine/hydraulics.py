@@ -28,11 +28,11 @@ from trackslip_sim.truth.record import Truth
 START_NS = 10_000_000_000
 _PERIOD_NS = 10_000_000
 _HYDRAULICS_DELAY_NS = 4_000_000  # after the slips, as in separate frames
-_SLOWEST = 0.005  # m/s, track speed below which slip is 0
+_MIN_TRACK_SPEED = 0.005  # m/s, track speed below which slip is 0
 
 
 @dataclass(frozen=True)
-class Sensing:
+class InputErrors:
     """Errors of the inputs."""
 
     pressure_stddev: float = 3.0e4  # Pa
@@ -45,7 +45,7 @@ class Sensing:
 
 
 def soil_inputs(
-    truth: Truth, vehicle: Vehicle, limits: MotionParameters, sensing: Sensing, seed: int = 0
+    truth: Truth, vehicle: Vehicle, limits: MotionParameters, sensing: InputErrors, seed: int = 0
 ) -> Iterator[SoilInput]:
     """Machine states and hydraulics at 100 Hz each, in the order of arrival."""
     rng = np.random.default_rng(seed)
@@ -57,16 +57,21 @@ def soil_inputs(
     poses = np.stack((at.x, at.y, at.yaw), axis=-1)
     deviations = np.array((sensing.speed_stddev, sensing.speed_stddev, sensing.yaw_rate_stddev))
     kept, state = math.exp(-step / sensing.error_time), MotionState()
-    error, astray = deviations * rng.standard_normal(3), sensing.position_stddev * rng.standard_normal(2)
+    error, position_error = (
+        deviations * rng.standard_normal(3),
+        sensing.position_stddev * rng.standard_normal(2),
+    )
     covariance = np.diag((sensing.position_stddev**2, sensing.position_stddev**2, 0.0))
     for k in range(len(at)):
         stamp_ns = START_NS + k * _PERIOD_NS
         error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
-        astray = kept * astray + math.sqrt(1.0 - kept**2) * sensing.position_stddev * rng.standard_normal(2)
+        position_error = kept * position_error + math.sqrt(
+            1.0 - kept**2
+        ) * sensing.position_stddev * rng.standard_normal(2)
         speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]))
         state = classify(state, speeds, step, limits)
-        twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
-        pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), covariance)
+        twist = twists[k] + (error if np.abs(tracks[k]).max() > _MIN_TRACK_SPEED else 0.0)
+        pose = PoseWithCovariance(poses[k] + np.append(position_error, 0.0), covariance)
         yield MachineState(
             stamp_ns,
             twist,
@@ -89,7 +94,7 @@ def soil_inputs(
 
 def _slips(twist: FloatArray, tracks: FloatArray, vehicle: Vehicle) -> FloatArray:
     """Slips (2,) of left and right track; 0 at standstill of a track."""
-    rolls = np.abs(tracks) > _SLOWEST
+    is_moving = np.abs(tracks) > _MIN_TRACK_SPEED
     frames = np.array(frame_speeds(twist, vehicle.tread))
-    share: FloatArray = np.divide(frames, tracks, out=np.ones(2), where=rolls)
+    share: FloatArray = np.divide(frames, tracks, out=np.ones(2), where=is_moving)
     return 1.0 - share

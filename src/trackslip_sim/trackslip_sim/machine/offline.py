@@ -43,7 +43,7 @@ from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.devices.line import NEVER_NS
-from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
+from trackslip_sim.machine.bag_messages import Recording, Serialize, column_serializer, sensor_serializers
 from trackslip_sim.machine.emulation import DRAIN_NS, SITE_FRAME, SOIL_NS, SWING_NS, TICK_NS, TRUTH_NS
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.machine.faults import CAN, GNSS, SICK, WATSON
@@ -51,12 +51,12 @@ from trackslip_sim.machine.message_columns import Columns, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import soil_message, swing_columns, truth_topics
 from trackslip_sim.parameters import EmulatorParameters
-from trackslip_sim.truth.record import KEPT, Truth, TruthWindow
+from trackslip_sim.truth.record import WINDOW_LENGTH, Truth, TruthWindow
 
 START_NS = 1_000_000_000  # start of the counted clock
 _SECOND_NS = 1_000_000_000
-_LOOK_NS = 100_000_000  # longest time between two reads of a port, as live
-_WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes; the window must still hold the truth
+_READ_PERIOD_NS = 100_000_000  # longest time between two reads of a port, as live
+_WRITE_NS = round(0.5 * WINDOW_LENGTH * 1e9)  # between writes; the window must still hold the truth
 
 
 def record_drive(
@@ -90,7 +90,7 @@ class _Task:
     """A repeated task of the host."""
 
     step: Callable[[int], None]
-    after: Callable[[int], int]  # due time after a step
+    next_due_ns: Callable[[int], int]  # due time after a step
     due_ns: int = START_NS
 
 
@@ -117,7 +117,7 @@ class _Host:
         gnss = default_parameters(GnssLocalizerParameters, gnss_parameters.NODE)
         origin = {name: getattr(p.gnss, name) for name in ("latitude", "longitude", "altitude")}
         self._map = replace(gnss, **{f"datum_{name}": value for name, value in origin.items()})
-        self._antenna = GnssLocalizer(self._map)
+        self._gnss_localizer = GnssLocalizer(self._map)
         self._body_frame = p.body_frame()
         self._truth = truth_topics(make, self._vehicle, self._body_frame)
         serializers = sensor_serializers(watson, self._body_frame) | self._truth_serializers()
@@ -126,13 +126,13 @@ class _Host:
         self.recording.add(VEHICLE, text, START_NS)
         self._swings = swing_topics(p.vehicle)
         self._tasks = [
-            _Task(self._receive_bus, partial(self._next_look_ns, CAN)),
-            _Task(self._receive_inertial, partial(self._next_look_ns, WATSON)),
-            _Task(self._talk_to_scanner, self._next_talk_ns),
-            _Task(self._receive_gnss, partial(self._next_look_ns, GNSS)),
-            _Task(self._record_truth, partial(self._repeated_ns, TRUTH_NS)),
-            _Task(self._record_swing, partial(self._repeated_ns, SWING_NS)),
-            _Task(lambda _: self.recording.write(), partial(self._repeated_ns, _WRITE_NS)),
+            _Task(self._receive_bus, partial(self._next_read_ns, CAN)),
+            _Task(self._receive_inertial, partial(self._next_read_ns, WATSON)),
+            _Task(self._exchange_with_scanner, self._next_scanner_read_ns),
+            _Task(self._receive_gnss, partial(self._next_read_ns, GNSS)),
+            _Task(self._record_truth, partial(self._next_period_ns, TRUTH_NS)),
+            _Task(self._record_swing, partial(self._next_period_ns, SWING_NS)),
+            _Task(lambda _: self.recording.write(), partial(self._next_period_ns, _WRITE_NS)),
         ]
 
     @property
@@ -145,19 +145,19 @@ class _Host:
         for task in self._tasks:
             if task.due_ns <= now_ns:
                 task.step(now_ns)
-                task.due_ns = task.after(now_ns)
+                task.due_ns = task.next_due_ns(now_ns)
 
-    def _next_look_ns(self, sensor: str, now_ns: int) -> int:
+    def _next_read_ns(self, sensor: str, now_ns: int) -> int:
         """The next tick at which a sensor is read."""
-        requested_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _LOOK_NS)
+        requested_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _READ_PERIOD_NS)
         return now_ns + max(1, -((now_ns - requested_ns) // TICK_NS)) * TICK_NS
 
-    def _next_talk_ns(self, now_ns: int) -> int:
+    def _next_scanner_read_ns(self, now_ns: int) -> int:
         """The next tick at which the scanner is read: every tick until it streams."""
         is_streaming = self._session.phase is Phase.STREAMING
-        return self._next_look_ns(SICK, now_ns) if is_streaming else now_ns + TICK_NS
+        return self._next_read_ns(SICK, now_ns) if is_streaming else now_ns + TICK_NS
 
-    def _repeated_ns(self, period_ns: int, now_ns: int) -> int:
+    def _next_period_ns(self, period_ns: int, now_ns: int) -> int:
         """One period later; ``NEVER_NS`` after the end of the drive."""
         next_ns = now_ns + period_ns
         return next_ns if next_ns <= self.excavator.end_ns else NEVER_NS
@@ -182,7 +182,7 @@ class _Host:
         for found in self._gnss.feed(sent, now_ns) if sent else ():
             self._on_gnss(found, now_ns)
 
-    def _talk_to_scanner(self, now_ns: int) -> None:
+    def _exchange_with_scanner(self, now_ns: int) -> None:
         arrived = self.excavator.step_sick(now_ns)
         if self._baud != self.excavator.sick.baud:
             arrived = b""
@@ -214,7 +214,7 @@ class _Host:
             return
         message = of_sensors.nav_sat_fix(make, sample, self._receiver.frame_id)
         self.recording.add(FIX, message, now_ns)
-        place = self._antenna.locate(of_fixes.fix(message))
+        place = self._gnss_localizer.locate(of_fixes.fix(message))
         if not isinstance(place, Reason):
             pose = of_fixes.pose(make, place, "gnss_pose", self._map.map_frame)
             self.recording.add("gnss_pose", pose, now_ns)
@@ -227,7 +227,7 @@ class _Host:
             if since_ns % topic.period_ns == 0:
                 self.recording.add(name, now_ns, now_ns)
         if since_ns % SOIL_NS == 0:
-            at = self._window.truth.at(self.excavator.sensors.time(now_ns))
+            at = self._window.truth.sample_at(self.excavator.sensors.time(now_ns))
             soil = soil_message(make, at, now_ns, self._vehicle, self._body_frame)
             self.recording.add("truth/soil", soil, now_ns)
 
@@ -239,13 +239,16 @@ class _Host:
             self.recording.add(topic, sample, now_ns)
 
     def _truth_serializers(self) -> dict[str, Serialize]:
-        def at(columns: Callable[[Truth], Columns]) -> Callable[[Sequence[int]], Columns]:
+        def columns_at(columns: Callable[[Truth], Columns]) -> Callable[[Sequence[int]], Columns]:
             def of_stamps(stamps_ns: Sequence[int]) -> Columns:
                 times = [self.excavator.sensors.time(stamp_ns) for stamp_ns in stamps_ns]
                 return {**stamp_columns(stamps_ns), **columns(self._window.truth.interpolate(times))}
 
             return of_stamps
 
-        swing = like(of_sensors.blank_swing(make, self._body_frame), at(swing_columns))
-        found = {name: like(topic.blank, at(topic.columns)) for name, topic in self._truth.items()}
+        swing = column_serializer(of_sensors.blank_swing(make, self._body_frame), columns_at(swing_columns))
+        found = {
+            name: column_serializer(topic.blank, columns_at(topic.columns))
+            for name, topic in self._truth.items()
+        }
         return {**found, "truth/swing": swing}

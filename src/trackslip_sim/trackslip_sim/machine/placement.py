@@ -10,7 +10,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 
 
-def about_z(angle: float) -> FloatArray:
+def rotation_about_z(angle: float) -> FloatArray:
     """(3, 3) rotation about z by ``angle``, rad."""
     cos, sin = math.cos(angle), math.sin(angle)
     return np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
@@ -23,10 +23,10 @@ def upper_poses(poses: FloatArray, swing: FloatArray, axis: tuple[float, float])
     """
     x, y, yaw = poses.T
     axis_x, axis_y = axis
-    cos, sin, above = np.cos(yaw), np.sin(yaw), yaw + swing
-    x = x + (cos - np.cos(above)) * axis_x - (sin - np.sin(above)) * axis_y
-    y = y + (sin - np.sin(above)) * axis_x + (cos - np.cos(above)) * axis_y
-    return np.stack((x, y, above), axis=1)
+    cos, sin, upper_yaw = np.cos(yaw), np.sin(yaw), yaw + swing
+    x = x + (cos - np.cos(upper_yaw)) * axis_x - (sin - np.sin(upper_yaw)) * axis_y
+    y = y + (sin - np.sin(upper_yaw)) * axis_x + (cos - np.cos(upper_yaw)) * axis_y
+    return np.stack((x, y, upper_yaw), axis=1)
 
 
 class Placement(NamedTuple):
@@ -52,15 +52,15 @@ class Placement(NamedTuple):
             )
         )
 
-    def point(self, x: float, y: float, z: float) -> tuple[float, float, float]:
+    def to_site(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """A point of base_link, m, in the site frame."""
         east, north, up = (self.rotation() @ (x, y, z)).tolist()
         return self.x + east, self.y + north, self.z + up
 
-    def turned(self, angle: float, axis: tuple[float, float]) -> "Placement":
+    def rotated_about_z(self, angle: float, axis: tuple[float, float]) -> "Placement":
         """Placement of a frame: base_link rotated by ``angle``, rad, about its z axis through (x, y), m."""
-        rotation, (along, across) = about_z(angle), axis
-        x, y, z = self.point(*((along, across, 0.0) - rotation @ (along, across, 0.0)).tolist())
+        rotation, (along, across) = rotation_about_z(angle), axis
+        x, y, z = self.to_site(*((along, across, 0.0) - rotation @ (along, across, 0.0)).tolist())
         R = self.rotation() @ rotation
         yaw = self.yaw + angle
         yaw += math.remainder(math.atan2(R[1, 0], R[0, 0]) - yaw, 2.0 * math.pi)

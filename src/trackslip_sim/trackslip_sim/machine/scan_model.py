@@ -61,7 +61,7 @@ class SiteScanner:
         self._times: FloatArray = TIME_INCREMENT * np.arange(BEAMS, dtype=np.float64)
         direction = site.laser_yaw + self.angles
         self._direction: FloatArray = np.column_stack([np.cos(direction), np.sin(direction)])
-        self._background = self._fixed_ranges()
+        self._background = self._background_ranges()
 
     def scan(self, stamp_s: float, pose_at: Callable[[FloatArray], Poses]) -> FloatArray:
         """Ranges (361,), m, counter-clockwise; +inf without return.
@@ -87,12 +87,12 @@ class SiteScanner:
         ahead = cos * laser_x + sin * laser_y - self._box.x
         beside = -sin * laser_x + cos * laser_y - self._box.y
         u, v = self._direction.T
-        near_x, far_x = _slab(ahead, cos * u + sin * v, self._box.length / 2.0)
-        near_y, far_y = _slab(beside, -sin * u + cos * v, self._box.width / 2.0)
+        near_x, far_x = _slab_distances(ahead, cos * u + sin * v, self._box.length / 2.0)
+        near_y, far_y = _slab_distances(beside, -sin * u + cos * v, self._box.width / 2.0)
         near, far = np.maximum(near_x, near_y), np.minimum(far_x, far_y)
         return np.where((near <= far) & (near > 0.0), near, np.inf)
 
-    def _fixed_ranges(self) -> FloatArray:
+    def _background_ranges(self) -> FloatArray:
         """Nearest wall or post along each beam (361,), m."""
         ranges = np.full(BEAMS, np.inf)
         laser = np.array([self._site.laser_x, self._site.laser_y])
@@ -103,7 +103,7 @@ class SiteScanner:
         return ranges
 
 
-def _slab(origin: FloatArray, direction: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+def _slab_distances(origin: FloatArray, direction: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
     """Distances at which a ray enters and leaves the strip |coordinate| < half."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (-half - origin) / direction, (half - origin) / direction

@@ -23,7 +23,7 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
-from trackslip_sim.machine.placement import Placement, about_z, upper_poses
+from trackslip_sim.machine.placement import Placement, rotation_about_z, upper_poses
 from trackslip_sim.truth.record import Truth, TruthWindow
 
 
@@ -81,8 +81,8 @@ class Mounting(NamedTuple):
     encoder_stddev: float = 0.0  # rad, of the swing encoder; 0: no encoder
 
 
-BELOW = Mounting()
-_UP = np.array((0.0, 0.0, GRAVITY))
+UNDERCARRIAGE_MOUNTING = Mounting()
+_REST_ACCELERATION = np.array((0.0, 0.0, GRAVITY))
 
 
 def mounting_of(vehicle: VehicleParameters) -> Mounting:
@@ -111,15 +111,15 @@ class MachineSensors:
         noise: SensorNoise,
         drive_start_ns: int,
         seed: int,
-        mounting: Mounting = BELOW,
+        mounting: Mounting = UNDERCARRIAGE_MOUNTING,
     ) -> None:
         self._window = window
         self._noise = noise
         self._mounting = mounting
-        self._of_encoder = np.random.default_rng((seed, 1))
+        self._encoder_random = np.random.default_rng((seed, 1))
         self._start_ns = drive_start_ns
         self._random = np.random.default_rng(seed)
-        self._looked_ns: int | None = None
+        self._cached_ns: int | None = None
         self._tabulate()
 
     def time(self, stamp_ns: int) -> float:
@@ -128,19 +128,19 @@ class MachineSensors:
 
     def pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """True x, y, yaw at times of the drive, s."""
-        self._advance(float(times[-1]))
+        self._advance_window(float(times[-1]))
         truth = self._window.truth
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
         return x, y, yaw
 
     def placement(self, stamp_ns: int) -> Placement:
         """True pose and attitude of base_link."""
-        at = self._at(stamp_ns)
+        at = self._truth_at(stamp_ns)
         return Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
 
     def upper_placement(self, stamp_ns: int) -> Placement:
         """True pose and attitude of the upper structure's frame, which equals base_link at σ = 0."""
-        return self.placement(stamp_ns).turned(self._at(stamp_ns).swing, self._mounting.axis)
+        return self.placement(stamp_ns).rotated_about_z(self._truth_at(stamp_ns).swing, self._mounting.axis)
 
     def upper_pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """True x, y, yaw of the upper structure's frame at times of the drive, s."""
@@ -152,22 +152,22 @@ class MachineSensors:
     def swing(self, stamp_ns: int) -> SwingSample:
         """Reading of the swing encoder with noise."""
         true = self.true_swing(stamp_ns)
-        angle = true.position + self._mounting.encoder_stddev * self._of_encoder.standard_normal()
+        angle = true.position + self._mounting.encoder_stddev * self._encoder_random.standard_normal()
         return true._replace(position=math.remainder(angle, 2.0 * math.pi))
 
     def true_swing(self, stamp_ns: int) -> SwingSample:
         """True swing angle, within ±π, and rate."""
-        at = self._at(stamp_ns)
+        at = self._truth_at(stamp_ns)
         return SwingSample(stamp_ns, math.remainder(at.swing, 2.0 * math.pi), at.swing_rate)
 
     def sprockets(self, stamp_ns: int) -> SprocketSample:
         """Sprocket angles and speeds without noise; the device rounds them."""
-        at = self._at(stamp_ns)
+        at = self._truth_at(stamp_ns)
         return SprocketSample(stamp_ns, at.left_angle, at.right_angle, at.left_speed, at.right_speed)
 
     def hydraulics(self, stamp_ns: int) -> HydraulicsSample:
         """Pressures with transducer noise, spools without."""
-        at = self._at(stamp_ns)
+        at = self._truth_at(stamp_ns)
         left, right, supply = (self._noise.pressure_stddev * self._random.standard_normal(3)).tolist()
         return HydraulicsSample(
             stamp_ns,
@@ -180,45 +180,45 @@ class MachineSensors:
 
     def imu(self, stamp_ns: int) -> ImuSample:
         """Inertial readings at C, in the axes of the mount; at standstill before and after the drive."""
-        at, noise = self._at(stamp_ns), self._noise
+        at, noise = self._truth_at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
         to_sensor = self.placement(stamp_ns).rotation().T
-        acceleration = to_sensor @ _UP
+        acceleration = to_sensor @ _REST_ACCELERATION
         rates = np.zeros(3)
         if driving:
             acceleration += (at.a_x, at.a_y, at.a_z)
             rates += (at.roll_rate, at.pitch_rate, at.yaw_rate)
         if self._mounting.imu_above:
-            from_below = about_z(at.swing).T
+            to_upper = rotation_about_z(at.swing).T
             to_sensor, acceleration, rates = (
-                from_below @ to_sensor,
-                from_below @ acceleration,
-                from_below @ rates,
+                to_upper @ to_sensor,
+                to_upper @ acceleration,
+                to_upper @ rates,
             )
             rates[2] += at.swing_rate if driving else 0.0
         acceleration += (noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z)
-        acceleration += noise.acceleration_stddev * self._normal()
+        acceleration += noise.acceleration_stddev * self._standard_normal()
         rates += (noise.gyro_bias_x, noise.gyro_bias_y, noise.gyro_bias)
-        rates += noise.gyro_stddev * self._normal()
+        rates += noise.gyro_stddev * self._standard_normal()
         field = to_sensor @ np.array((0.0, noise.field_horizontal, -noise.field_down))
-        field += noise.field_stddev * self._normal()
+        field += noise.field_stddev * self._standard_normal()
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
 
-    def _at(self, stamp_ns: int) -> Measurable:
+    def _truth_at(self, stamp_ns: int) -> Measurable:
         """The truth interpolated at one stamp, as by ``Truth.interpolate``."""
-        if stamp_ns != self._looked_ns:
+        if stamp_ns != self._cached_ns:
             t = self.time(stamp_ns)
-            self._advance(t)
+            self._advance_window(t)
             times, table = self._times, self._table
             k = bisect_right(times, t) - 1
             if k < 0 or k == len(times) - 1:
                 row = table[max(k, 0)]
             else:
                 row = self._slopes[k] * (t - times[k]) + table[k]
-            self._looked_ns, self._found = stamp_ns, Measurable._make(row.tolist())
-        return self._found
+            self._cached_ns, self._cached_truth = stamp_ns, Measurable._make(row.tolist())
+        return self._cached_truth
 
-    def _advance(self, t: float) -> None:
+    def _advance_window(self, t: float) -> None:
         if self._window.advance(t):
             self._tabulate()
 
@@ -229,9 +229,9 @@ class MachineSensors:
         self._times: list[float] = truth.t.tolist()
         self._table: FloatArray = np.column_stack([*named, accelerations(truth)])
         self._slopes = np.diff(self._table, axis=0) / np.diff(truth.t)[:, np.newaxis]
-        self._looked_ns = None
+        self._cached_ns = None
 
-    def _normal(self) -> FloatArray:
+    def _standard_normal(self) -> FloatArray:
         return self._random.standard_normal(3)
 
 

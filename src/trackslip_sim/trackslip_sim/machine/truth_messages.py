@@ -21,8 +21,8 @@ from trackslip_sim.machine.emulation import FORCES_NS, SITE_FRAME, TRUTH_NS
 from trackslip_sim.machine.message_columns import Columns
 from trackslip_sim.truth.record import Truth
 
-_STANDING = 1e-3  # rad/s, limit of both sprockets at standstill
-_STRAIGHT = 0.02  # of the faster sprocket: largest difference in straight motion
+_MIN_SPEED = 1e-3  # rad/s, limit of both sprockets at standstill
+_MIN_TURN_SHARE = 0.02  # of the faster sprocket: largest difference in straight motion
 
 
 class TruthTopic(NamedTuple):
@@ -86,7 +86,8 @@ def _rates(truth: Truth, field: str) -> Columns:
 def _orientation(truth: Truth, field: str) -> Columns:
     """The quaternion of Rz(yaw) Ry(pitch) Rx(roll)."""
     (c_r, s_r), (c_p, s_p), (c_y, s_y) = (
-        (_each(math.cos, angle), _each(math.sin, angle)) for angle in (truth.roll, truth.pitch, truth.yaw)
+        (_of_half_angles(math.cos, angle), _of_half_angles(math.sin, angle))
+        for angle in (truth.roll, truth.pitch, truth.yaw)
     )
     return {
         f"{field}.x": s_r * c_p * c_y - c_r * s_p * s_y,
@@ -96,7 +97,7 @@ def _orientation(truth: Truth, field: str) -> Columns:
     }
 
 
-def _each(function: Callable[[float], float], angles: FloatArray) -> FloatArray:
+def _of_half_angles(function: Callable[[float], float], angles: FloatArray) -> FloatArray:
     """``function`` of half of each angle as in live messages; numpy's functions differ in the last bit."""
     return np.array([function(half) for half in (angles / 2.0).tolist()])
 
@@ -104,13 +105,13 @@ def _each(function: Callable[[float], float], angles: FloatArray) -> FloatArray:
 def _slip_columns(truth: Truth) -> Columns:
     """Columns of trackslip_msgs/TrackSlip."""
     fastest = np.maximum(np.abs(truth.left_speed), np.abs(truth.right_speed))
-    straight = np.abs(truth.right_speed - truth.left_speed) < _STRAIGHT * fastest
+    straight = np.abs(truth.right_speed - truth.left_speed) < _MIN_TURN_SHARE * fastest
     moving = np.where(straight, int(Motion.STRAIGHT), int(Motion.TURNING))
     return {
         "left_slip": truth.left_slip,
         "right_slip": truth.right_slip,
         "slip_angle": truth.slip_angle,
-        "motion_state": np.where(fastest < _STANDING, int(Motion.STANDING), moving),
+        "motion_state": np.where(fastest < _MIN_SPEED, int(Motion.STANDING), moving),
     }
 
 

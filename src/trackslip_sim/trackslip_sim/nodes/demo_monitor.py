@@ -22,10 +22,10 @@ from trackslip_estimation.slip.conversions import pose_fix
 from trackslip_sim.demo.graph import SENSOR_TOPICS
 from trackslip_sim.nodes.remote_lifecycle import RemoteLifecycle
 
-WATCHED = (*SENSOR_TOPICS, "box_pose", "gnss_pose", "odometry", "track_slip")
-_WATCHERS = frozenset({"record", "demo"})
-_ENDS = {  # topic → nodes that must be connected on it, if all of them run
-    **{topic: set(_WATCHERS) for topic in WATCHED},
+WATCHED_TOPICS = (*SENSOR_TOPICS, "box_pose", "gnss_pose", "odometry", "track_slip")
+_WATCHING_NODES = frozenset({"record", "demo"})
+_ENDPOINTS = {  # topic → nodes that must be connected on it, if all of them run
+    **{topic: set(_WATCHING_NODES) for topic in WATCHED_TOPICS},
     "sprockets": {"can_driver", "slip_estimator", "record", "demo"},
     "imu/data_raw": {"watson_imu", "slip_estimator", "record", "demo"},
     "scan": {"sick_pls", "box_localizer", "record", "demo"},
@@ -65,7 +65,7 @@ class DemoMonitor(Node):
         self.finished = False
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
-        self.at_work: set[str] = set()  # nodes whose last status is not an error: their ports are open
+        self.healthy_nodes: set[str] = set()  # nodes whose last status is not an error: their ports are open
         self._recorder_publishers: dict[
             str, str
         ] = {}  # topic → number of publishers connected to the recorder
@@ -73,10 +73,10 @@ class DemoMonitor(Node):
         self._spinner.add_node(self)
         self._emulator = RemoteLifecycle(self, self._spinner, "emulator")
         self._watched = {}
-        for topic in WATCHED:
+        for topic in WATCHED_TOPICS:
             handler = {"odometry": self._on_odometry, "track_slip": self._on_slip}.get(topic)
             self._watched[topic] = self.create_subscription(
-                topic_class(topic), topic, self._counting(topic, handler), publisher_qos(topic)
+                topic_class(topic), topic, self._counting_callback(topic, handler), publisher_qos(topic)
             )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
@@ -86,14 +86,14 @@ class DemoMonitor(Node):
         while (left := until - time.monotonic()) > 0.0:
             self._spinner.spin_once(timeout_sec=left)
 
-    def missing_ends(self, running: Set[str]) -> set[str]:
+    def missing_endpoints(self, running: Set[str]) -> set[str]:
         """``topic: node`` of every missing endpoint of the running nodes.
 
         Recorder and demo are also checked for connections: discovered publishers may not be connected yet.
         """
         missing = set()
-        for topic, nodes in _ENDS.items():
-            if not nodes <= running | _WATCHERS:
+        for topic, nodes in _ENDPOINTS.items():
+            if not nodes <= running | _WATCHING_NODES:
                 continue
             name = self.resolve_topic_name(topic)
             publishers = self.get_publishers_info_by_topic(name)
@@ -105,20 +105,24 @@ class DemoMonitor(Node):
                 missing.add(f"{topic}: demo")
         return missing
 
-    def lay_cables(self, timeout: float) -> bool:
+    def configure_emulator(self, timeout: float) -> bool:
         """Configure the emulator, which creates its ports; False if not (yet) done."""
-        return self._emulator.bring(Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE, timeout)
+        return self._emulator.request_transition(
+            Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE, timeout
+        )
 
-    def turn_key(self, timeout: float) -> bool:
+    def activate_emulator(self, timeout: float) -> bool:
         """Activate the emulator; False if not (yet) done."""
-        return self._emulator.bring(Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE, timeout)
+        return self._emulator.request_transition(
+            Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE, timeout
+        )
 
     def close(self) -> None:
         """Leave the graph."""
         self._spinner.shutdown(timeout_sec=1.0)
         self.destroy_node()
 
-    def _counting(self, topic: str, handler: Callable[[Any], None] | None) -> Callable[[Any], None]:
+    def _counting_callback(self, topic: str, handler: Callable[[Any], None] | None) -> Callable[[Any], None]:
         def count(message: Any) -> None:
             self.received[topic] += 1
             if handler is not None:
@@ -135,14 +139,18 @@ class DemoMonitor(Node):
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
-            change = self.at_work.discard if status.level == DiagnosticStatus.ERROR else self.at_work.add
+            change = (
+                self.healthy_nodes.discard
+                if status.level == DiagnosticStatus.ERROR
+                else self.healthy_nodes.add
+            )
             change(status.name)
             if status.name == "record: publishers":
                 self._recorder_publishers = {pair.key: pair.value for pair in status.values}
             if status.name == "emulator":
-                self._read_emulator({pair.key: pair.value for pair in status.values}.items())
+                self._read_emulator_status({pair.key: pair.value for pair in status.values}.items())
 
-    def _read_emulator(self, values: Iterable[tuple[str, str]]) -> None:
+    def _read_emulator_status(self, values: Iterable[tuple[str, str]]) -> None:
         for key, value in values:
             word, _, topic = key.partition(" ")
             if word == "emitted" and topic in TOPICS and TOPICS[topic].flow is Flow.SENSOR:

@@ -11,7 +11,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import Executor
 from rclpy.node import Node
 
-_LOST = 5.0  # s without an answer, after which it counts as lost
+_ANSWER_TIMEOUT = 5.0  # s without an answer, after which it counts as lost
 
 
 class RemoteLifecycle:
@@ -25,35 +25,35 @@ class RemoteLifecycle:
         self._executor = executor
         self._changes = node.create_client(ChangeState, f"{name}/change_state")
         self._states = node.create_client(GetState, f"{name}/get_state")
-        self._asked: Any = None
-        self._asked_s = 0.0
+        self._pending: Any = None
+        self._request_s = 0.0
         self._is_uncertain = False  # the answer to the last transition was lost
 
-    def bring(self, transition: int, state: int, timeout: float) -> bool:
+    def request_transition(self, transition: int, state: int, timeout: float) -> bool:
         """Request the transition to ``state`` (both are ids); False if not (yet) done.
 
         Call until True. Later calls wait for the same answer; if it is lost, they request the state.
         """
-        if self._asked is None and not self._ask(transition, timeout):
+        if self._pending is None and not self._send_request(transition, timeout):
             return False
-        self._executor.spin_until_future_complete(self._asked, timeout_sec=timeout)
-        if not self._asked.done():
-            if time.monotonic() - self._asked_s > _LOST:
-                self._asked, self._is_uncertain = None, True
+        self._executor.spin_until_future_complete(self._pending, timeout_sec=timeout)
+        if not self._pending.done():
+            if time.monotonic() - self._request_s > _ANSWER_TIMEOUT:
+                self._pending, self._is_uncertain = None, True
             return False
-        answer, self._asked, self._is_uncertain = self._asked.result(), None, False
+        answer, self._pending, self._is_uncertain = self._pending.result(), None, False
         if isinstance(answer, GetState.Response):
             return bool(answer.current_state.id == state)
         return bool(answer.success)
 
-    def _ask(self, transition: int, timeout: float) -> bool:
+    def _send_request(self, transition: int, timeout: float) -> bool:
         """Send the request; False if the service is not available."""
         client = self._states if self._is_uncertain else self._changes
         if not client.wait_for_service(timeout_sec=timeout):
             return False
         request = ChangeState.Request(transition=Transition(id=transition))
-        self._asked = client.call_async(GetState.Request() if self._is_uncertain else request)
-        self._asked_s = time.monotonic()
+        self._pending = client.call_async(GetState.Request() if self._is_uncertain else request)
+        self._request_s = time.monotonic()
         return True
 
 
@@ -63,33 +63,33 @@ class AwaitedNodes:
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._clients = {name: node.create_client(GetState, f"{name}/get_state") for name in names}
-        self._asked: dict[str, tuple[Any, float]] = {}  # pending answer, and time of the request
+        self._pending: dict[str, tuple[Any, float]] = {}  # pending answer, and time of the request
 
     @property
     def missing(self) -> list[str]:
         """Names of the nodes not yet active."""
         return list(self._clients)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Process received answers and request missing ones; call repeatedly."""
         for name in self.missing:
-            answer, asked_s = self._asked.get(name, (None, 0.0))
+            answer, request_s = self._pending.get(name, (None, 0.0))
             if answer is None:
-                self._ask(name)
+                self._send_request(name)
             elif answer.done():
-                del self._asked[name]
+                del self._pending[name]
                 if answer.result().current_state.id == State.PRIMARY_STATE_ACTIVE:
                     self._node.destroy_client(self._clients.pop(name))
-            elif time.monotonic() - asked_s > _LOST:
+            elif time.monotonic() - request_s > _ANSWER_TIMEOUT:
                 self._clients[name].remove_pending_request(answer)
-                del self._asked[name]
+                del self._pending[name]
 
     def close(self) -> None:
         """Stop all requests."""
         while self._clients:
             self._node.destroy_client(self._clients.popitem()[1])
 
-    def _ask(self, name: str) -> None:
+    def _send_request(self, name: str) -> None:
         client = self._clients[name]
         if client.service_is_ready():
-            self._asked[name] = client.call_async(GetState.Request()), time.monotonic()
+            self._pending[name] = client.call_async(GetState.Request()), time.monotonic()

@@ -12,12 +12,14 @@ from trackslip_common.errors import InputError, suggestion
 T = TypeVar("T")
 
 
-def named(kind: str) -> list[str]:
+def record_names(kind: str) -> list[str]:
     """Names of the records of a kind: files in its folder of ``config/``."""
     return sorted(path.stem for path in (config_directory() / f"{kind}s").glob("*.yaml"))
 
 
-def load(kind: str, name_or_file: str, known: Iterable[str], parse: Callable[[Mapping[str, Any]], T]) -> T:
+def load_record(
+    kind: str, name_or_file: str, known: Iterable[str], parse: Callable[[Mapping[str, Any]], T]
+) -> T:
     """A record by its name in the folder of its kind in ``config/``, or from a user's file.
 
     Raises:
@@ -34,7 +36,7 @@ def load(kind: str, name_or_file: str, known: Iterable[str], parse: Callable[[Ma
     raise InputError(f"{kind}: '{name_or_file}' is unknown{like}")
 
 
-def each(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]], T]) -> Iterator[T]:
+def read_list(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]], T]) -> Iterator[T]:
     """The records listed under ``key``; none if it is absent.
 
     Raises:
@@ -52,28 +54,28 @@ def each(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]],
             raise InputError(f"{key}[{index}]: {error}") from error
 
 
-def refuse_unknown(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
+def check_keys(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
     """Raise ``InputError`` for a key that is not among ``keys``."""
     for key in tree:
         if key not in keys:
             raise InputError(f"unknown key '{key}'{suggestion(str(key), keys)}")
 
 
-def number(tree: Mapping[str, Any], key: str) -> float:
+def read_number(tree: Mapping[str, Any], key: str) -> float:
     """The number under ``key``; ``InputError`` without one."""
     value = tree.get(key)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a number")
+        raise InputError(f"{key} = {value!r} is {_defect(tree, key)}; accepted: a number")
     return float(value)
 
 
-def text(tree: Mapping[str, Any], key: str) -> str:
+def read_text(tree: Mapping[str, Any], key: str) -> str:
     """The text under ``key``; ``InputError`` without one."""
     value = tree.get(key)
     if not isinstance(value, str) or not value:
-        raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a name")
+        raise InputError(f"{key} = {value!r} is {_defect(tree, key)}; accepted: a name")
     return value
 
 
-def _fault(tree: Mapping[str, Any], key: str) -> str:
+def _defect(tree: Mapping[str, Any], key: str) -> str:
     return "refused" if key in tree else "missing"

@@ -16,7 +16,14 @@ from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 from trackslip_sim.machine.faults import Fault, read_fault
-from trackslip_sim.scenarios.checks import each, load, named, number, refuse_unknown, text
+from trackslip_sim.scenarios.checks import (
+    check_keys,
+    load_record,
+    read_list,
+    read_number,
+    read_text,
+    record_names,
+)
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.terrain import FLAT, Terrain
@@ -77,7 +84,7 @@ class Scenario:
         """Sum of the segments' durations, s."""
         return sum(segment.duration for segment in self.segments)
 
-    def stretched(self, duration: float) -> Scenario:
+    def with_duration(self, duration: float) -> Scenario:
         """The scenario cut, or its segments repeated, to ``duration``, s.
 
         Raises:
@@ -116,38 +123,38 @@ class Scenario:
             InputError: the scenario is shorter than one step.
         """
         count = self.steps(step)
-        index = self._segment_at(step, begin, count if end is None else end)
+        index = self._segment_indices(step, begin, count if end is None else end)
         speeds = np.array([[segment.left, segment.right] for segment in self.segments], dtype=np.float64)
         chosen: FloatArray = speeds[index]
         return chosen
 
     @property
-    def swings(self) -> bool:
+    def has_swing(self) -> bool:
         """Whether any segment swings the upper structure."""
         return any(segment.swing_to is not None for segment in self.segments)
 
     def swing_targets(self, step: float, begin: int, end: int) -> FloatArray:
         """(n,) target of the swing angle in each step, rad; initially 0."""
-        return self._held([segment.swing_to for segment in self.segments], step, begin, end)
+        return self._values_by_step([segment.swing_to for segment in self.segments], step, begin, end)
 
     @property
-    def carries(self) -> bool:
+    def has_bucket_load(self) -> bool:
         """Whether any segment loads the bucket."""
         return any(segment.load for segment in self.segments)
 
-    def carried(self, step: float, begin: int, end: int) -> FloatArray:
+    def bucket_masses(self, step: float, begin: int, end: int) -> FloatArray:
         """(n,) mass in the bucket in each step, kg; initially 0."""
-        return self._held([segment.load for segment in self.segments], step, begin, end)
+        return self._values_by_step([segment.load for segment in self.segments], step, begin, end)
 
-    def _held(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
+    def _values_by_step(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
         """(n,) value of each step: that of its segment or the last given before; initially 0."""
         values = [0.0]
         for value in given:
             values.append(values[-1] if value is None else value)
-        held: FloatArray = np.array(values[1:])[self._segment_at(step, begin, end)]
+        held: FloatArray = np.array(values[1:])[self._segment_indices(step, begin, end)]
         return held
 
-    def _segment_at(self, step: float, begin: int, end: int) -> IntArray:
+    def _segment_indices(self, step: float, begin: int, end: int) -> IntArray:
         """(n,) index of the segment of each step."""
         ends = np.cumsum([segment.duration for segment in self.segments])
         middles = (np.arange(begin, end) + 0.5) * step
@@ -156,7 +163,7 @@ class Scenario:
 
 def scenario_names() -> list[str]:
     """Names of the scenarios in ``config/scenarios``."""
-    return named("scenario")
+    return record_names("scenario")
 
 
 def load_scenario(name_or_file: str, terrain: str = "", duration: float = 0.0) -> Scenario:
@@ -167,10 +174,10 @@ def load_scenario(name_or_file: str, terrain: str = "", duration: float = 0.0) -
     Raises:
         InputError: scenario or terrain is unknown, or its file or the duration is refused.
     """
-    scenario = load("scenario", name_or_file, scenario_names(), parse_scenario)
+    scenario = load_record("scenario", name_or_file, scenario_names(), parse_scenario)
     if terrain:
         scenario = dataclasses.replace(scenario, terrain=load_terrain(terrain))
-    return scenario.stretched(duration) if duration else scenario
+    return scenario.with_duration(duration) if duration else scenario
 
 
 def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
@@ -179,31 +186,31 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
     Raises:
         InputError: a key is missing or unknown, or a value is refused.
     """
-    refuse_unknown(tree, _KEYS)
-    patches = tuple(each(tree, "patches", _patch))
-    segments = tuple(each(tree, "segments", _segment))
+    check_keys(tree, _KEYS)
+    patches = tuple(read_list(tree, "patches", _read_patch))
+    segments = tuple(read_list(tree, "segments", _read_segment))
     if "soil" not in tree and not patches:
         raise InputError("soil is missing; accepted: a name, or 'patches' with one or more")
     return Scenario(
-        name=text(tree, "name"),
-        soil=text(tree, "soil") if "soil" in tree else patches[0].soil,
+        name=read_text(tree, "name"),
+        soil=read_text(tree, "soil") if "soil" in tree else patches[0].soil,
         segments=segments,
         patches=patches,
-        terrain=load_terrain(text(tree, "terrain")) if "terrain" in tree else FLAT,
-        relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
-        faults=tuple(each(tree, "faults", read_fault)),
-        vehicle=text(tree, "vehicle") if "vehicle" in tree else DEFAULT_VEHICLE,
+        terrain=load_terrain(read_text(tree, "terrain")) if "terrain" in tree else FLAT,
+        relief_pressure=read_number(tree, "relief_pressure") if "relief_pressure" in tree else None,
+        faults=tuple(read_list(tree, "faults", read_fault)),
+        vehicle=read_text(tree, "vehicle") if "vehicle" in tree else DEFAULT_VEHICLE,
     )
 
 
-def _patch(entry: Mapping[str, Any]) -> Patch:
+def _read_patch(entry: Mapping[str, Any]) -> Patch:
     edges = ("from_x", "to_x", "from_y", "to_y")
-    refuse_unknown(entry, ("soil", *edges))
-    return Patch(soil=text(entry, "soil"), **{edge: number(entry, edge) for edge in edges})
+    check_keys(entry, ("soil", *edges))
+    return Patch(soil=read_text(entry, "soil"), **{edge: read_number(entry, edge) for edge in edges})
 
 
-def _segment(entry: Mapping[str, Any]) -> Segment:
+def _read_segment(entry: Mapping[str, Any]) -> Segment:
     keys = ("duration", "left", "right")
-    refuse_unknown(entry, (*keys, "swing_to", "load"))
+    check_keys(entry, (*keys, "swing_to", "load"))
     optional = {"swing_to", "load"} & entry.keys()
-    return Segment(**{key: number(entry, key) for key in (*keys, *optional)})
+    return Segment(**{key: read_number(entry, key) for key in (*keys, *optional)})

@@ -44,7 +44,7 @@ class Cache(Generic[R]):
                 f"--cache: '{path}' is no cache of a study; accepted: a new file, or such a cache"
             ) from error
         for line in () if fresh else lines:
-            self._remember(line)
+            self._add_line(line)
 
     def get(self, key: str) -> R | None:
         """A piece; None if the cache does not have it."""
@@ -56,7 +56,7 @@ class Cache(Generic[R]):
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"key": key, "row": vars(piece)}) + "\n")
 
-    def _remember(self, line: str) -> None:
+    def _add_line(self, line: str) -> None:
         entry = parse_line(line) or {}
         with suppress(TypeError):  # truncated, or of another kind or version
             self._pieces[str(entry.get("key"))] = make_record(self._kind, entry.get("row"))

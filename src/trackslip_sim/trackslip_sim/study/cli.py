@@ -14,7 +14,7 @@ from typing import Any
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE, load_vehicle
 from trackslip_estimation.slip.parameters import NODE
-from trackslip_sim.study.engine import BEGINNING, Study
+from trackslip_sim.study.engine import TABLE_HEADER, Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
@@ -73,8 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study, print its table, write the requested files; returns the exit code."""
-    study = _study(args)
-    _prepare(args, study.files())
+    study = _make_study(args)
+    _check_outputs(args, study.files())
     workers = partial(worker_options.requested_workers, args, most=len(study))
     running = study.run(args.cache, workers, fresh=args.fresh)
     rows = study.rows(list(iterate_with_bar(running, study.UNIT, total=len(study))))
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _study(args: argparse.Namespace) -> Study[Any, Any]:
+def _make_study(args: argparse.Namespace) -> Study[Any, Any]:
     """The study with the given options; ``InputError`` for an option that it does not have."""
     kind = _STUDIES[args.estimator]
     given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
@@ -102,12 +102,12 @@ def _cache_file() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "trackslip" / "study.jsonl"
 
 
-def _prepare(args: argparse.Namespace, names: Sequence[str]) -> None:
+def _check_outputs(args: argparse.Namespace, names: Sequence[str]) -> None:
     """Refuse, before the study runs, output files that cannot be written or belong to another program."""
     require_writable(json=args.json)
     files = [] if args.output is None else [args.output / name for name in names]
     for file in files:
-        refuse_foreign_file("output", file, PNG_PREFIX if file.suffix == ".png" else BEGINNING)
+        refuse_foreign_file("output", file, PNG_PREFIX if file.suffix == ".png" else TABLE_HEADER)
     for file in files:
         make_folder("output", file.parent)
         require_writable(output=file)

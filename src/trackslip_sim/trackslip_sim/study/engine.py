@@ -17,11 +17,11 @@ from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.workers import Map
 from trackslip_tools.workers import open_workers as workers_of
 
-BEGINNING = "<!-- Written by trackslip study. -->\n"  # of a file of tables
+TABLE_HEADER = "<!-- Written by trackslip study. -->\n"  # of a file of tables
 Workers = Callable[[Any], AbstractContextManager[Map]]  # opens workers with the data that all pieces share
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
-NOTHING = "–"  # cell of a table without a value
+NO_VALUE = "–"  # cell of a table without a value
 Columns = Mapping[str, Callable[[Any], str]]
 """Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
 
@@ -40,12 +40,12 @@ class GridParameters(Parameters):
     fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
 
 
-def alone(shared: Any) -> AbstractContextManager[Map]:
+def in_process_workers(shared: Any) -> AbstractContextManager[Map]:
     """Workers that compute in this process."""
     return workers_of(1, shared=shared)
 
 
-def spread(
+def map_pieces(
     function: Callable[[Any, Piece], Result], shared: Any, pieces: Sequence[Piece], workers: Workers
 ) -> Generator[Result, None, None]:
     """The results in order; this process computes the first, so that kernels are compiled only once."""
@@ -95,7 +95,9 @@ class Study(ABC, Generic[Piece, Result]):
         """Number of pieces."""
         return sum(map(len, self.cells.values()))
 
-    def run(self, path: Path, workers: Workers = alone, *, fresh: bool = False) -> Iterator[Result]:
+    def run(
+        self, path: Path, workers: Workers = in_process_workers, *, fresh: bool = False
+    ) -> Iterator[Result]:
         """Yield the results in the order of the pieces; results in the cache are not computed.
 
         Raises:
@@ -124,18 +126,18 @@ class Study(ABC, Generic[Piece, Result]):
 
     def write(self, rows: Sequence[Any], folder: Path) -> None:
         """Write the tables as a file into an existing folder."""
-        write_atomically(folder / self.files()[0], f"{BEGINNING}\n{self.markdown(rows)}")
+        write_atomically(folder / self.files()[0], f"{TABLE_HEADER}\n{self.markdown(rows)}")
 
     def _key(self, piece: Any) -> str:
         return key_of({"piece": asdict(piece), **self.depends_on(piece)}, *self.SOURCES)
 
 
-def table(columns: Columns, rows: Sequence[Any], text_columns: int) -> list[str]:
+def table_lines(columns: Columns, rows: Sequence[Any], text_columns: int) -> list[str]:
     """The lines of a Markdown table; the first ``text_columns`` are aligned left, the others right."""
     heading = [head.rstrip() for head in columns]
     return markdown_table(heading, [[show(row) for show in columns.values()] for row in rows], text_columns)
 
 
-def words(name: str) -> str:
+def spaced_name(name: str) -> str:
     """A name of the configuration with spaces for underscores."""
     return name.replace("_", " ")

@@ -36,19 +36,19 @@ STYLE: Mapping[str, Any] = MappingProxyType(
 )
 
 
-def panels(columns: int) -> tuple[Figure, list[Axes]]:
+def make_panels(columns: int) -> tuple[Figure, list[Axes]]:
     """A figure and its row of equal panels."""
     figure = Figure(figsize=(5.2 * columns, 3.6))
     return figure, list(figure.subplots(1, columns, squeeze=False)[0])
 
 
-def label(axes: Axes, title: str, x: str, y: str) -> None:
+def label_axes(axes: Axes, title: str, x: str, y: str) -> None:
     """Set title and axis labels with units; draw a thin line at zero."""
     axes.set(title=title, xlabel=x, ylabel=y)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
 
 
-def save(figure: Figure, file: Path) -> None:
+def save_figure(figure: Figure, file: Path) -> None:
     """Write a PNG whose bytes depend only on the content of the figure."""
     image = io.BytesIO()
     figure.savefig(image, format="png", metadata={"Software": None})

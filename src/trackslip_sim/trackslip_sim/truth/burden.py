@@ -24,7 +24,7 @@ from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.settings import TruthSettings
 
 
-def resting_centre(vehicle: Vehicle, settings: TruthSettings) -> FloatArray:
+def unloaded_centre(vehicle: Vehicle, settings: TruthSettings) -> FloatArray:
     """r_0 (3,), m: the vehicle's centre of gravity plus the settings' offset ``load_x``, ``load_y``."""
     centre = vehicle.centre_of_gravity
     x, y, z = (centre.x, centre.y, centre.z) if centre is not None else (0.0, 0.0, 0.0)
@@ -32,7 +32,7 @@ def resting_centre(vehicle: Vehicle, settings: TruthSettings) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Burden:
+class MassProperties:
     """Weight and centre of gravity during one run.
 
     Raises:
@@ -45,7 +45,7 @@ class Burden:
     settings: TruthSettings
 
     def __post_init__(self) -> None:
-        if self.scenario.carries and self.vehicle.bucket is None:
+        if self.scenario.has_bucket_load and self.vehicle.bucket is None:
             raise InputError(
                 f"scenario '{self.scenario.name}' loads the bucket; accepted: a vehicle with mass.bucket"
             )
@@ -54,14 +54,14 @@ class Burden:
         """(n, 4) weight, N, and r_g, m, for steps ``begin`` to ``end`` (excluded); ``swing`` (n,) is σ."""
         mass, upper, bucket = self.vehicle.mass, self.upper, self.vehicle.bucket
         axis = (upper.swing_axis_x, upper.swing_axis_y) if upper is not None else (0.0, 0.0)
-        moments = np.tile(mass * resting_centre(self.vehicle, self.settings), (end - begin, 1))
+        moments = np.tile(mass * unloaded_centre(self.vehicle, self.settings), (end - begin, 1))
         cos, sin = np.cos(swing), np.sin(swing)
         if upper is not None:
             moments[:, 0] += upper.mass * upper.centre_x * (cos - 1.0)
             moments[:, 1] += upper.mass * upper.centre_x * sin
         masses = np.full(end - begin, mass)
         if bucket is not None:
-            carried = self.scenario.carried(self.settings.step, begin, end)
+            carried = self.scenario.bucket_masses(self.settings.step, begin, end)
             ahead, left = bucket.x - axis[0], -axis[1]
             moments[:, 0] += carried * (axis[0] + cos * ahead - sin * left)
             moments[:, 1] += carried * (axis[1] + sin * ahead + cos * left)

@@ -49,7 +49,7 @@ class ShearSums(NamedTuple):
     curvature: FloatArray  # (2, 6) second derivatives, Σ of h_xx, h_xy, h_xy x_e, h_yy, h_yy x_e, h_yy x_e²
 
 
-def unsheared(elements: int) -> Shear:
+def undisturbed_shear(elements: int) -> Shear:
     """Shear state of undisturbed soil: j = 0."""
     return Shear(np.zeros((2, elements, 2)), np.zeros((2, elements), np.int64), np.zeros((2, elements)))
 
@@ -65,10 +65,10 @@ def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
                 ground.table[soil, 1],
                 ground.table[soil, 2],
             )
-            slid = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
+            displacement = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
             area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0  # 0 where the track has lifted
             full = cohesion * area + tracks.load[k, e] * tan_friction
-            shear.strength[k, e] = full * -math.expm1(-slid / modulus)
+            shear.strength[k, e] = full * -math.expm1(-displacement / modulus)
 
 
 @compiled
@@ -84,7 +84,7 @@ def find_soils(pose: FloatArray, tracks: Tracks, ground: SoilMap, shear: Shear) 
 
 
 @compiled
-def carry(shear: Shear, q: FloatArray, tracks: Tracks, step: float) -> None:
+def advect_shear(shear: Shear, q: FloatArray, tracks: Tracks, step: float) -> None:
     """Advance j by one step: j grows at rate s and is advected rearwards (forwards in reverse) at |u|.
 
     Implicit upwind differences, swept from the leading edge, where j = 0. They are bounded at any step. In
@@ -116,10 +116,10 @@ def limit_shear(shear: Shear, ground: SoilMap) -> None:
     for k in range(2):
         for e in range(j.shape[1]):
             limit = MAX_SHEAR * ground.table[shear.soil[k, e], 2]
-            slid = math.sqrt(j[k, e, 0] ** 2 + j[k, e, 1] ** 2)
-            if slid > limit:
-                j[k, e, 0] *= limit / slid
-                j[k, e, 1] *= limit / slid
+            displacement = math.sqrt(j[k, e, 0] ** 2 + j[k, e, 1] ** 2)
+            if displacement > limit:
+                j[k, e, 0] *= limit / displacement
+                j[k, e, 1] *= limit / displacement
 
 
 @compiled
@@ -147,9 +147,9 @@ def shear_sums(q: FloatArray, shear: Shear, tracks: Tracks, floor: float, sums: 
             h_yyx += yy * x
             h_yyxx += yy * x * x
         sums.force[k, 0], sums.force[k, 1], sums.force[k, 2] = f_x, f_y, moment
-        bends = sums.curvature
-        bends[k, 0], bends[k, 1], bends[k, 2] = h_xx, h_xy, h_xyx
-        bends[k, 3], bends[k, 4], bends[k, 5] = h_yy, h_yyx, h_yyxx
+        curvature = sums.curvature
+        curvature[k, 0], curvature[k, 1], curvature[k, 2] = h_xx, h_xy, h_xyx
+        curvature[k, 3], curvature[k, 4], curvature[k, 5] = h_yy, h_yyx, h_yyxx
 
 
 def element_positions(length: float, elements: int) -> FloatArray:

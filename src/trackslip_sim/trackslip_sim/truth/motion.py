@@ -27,7 +27,7 @@ SIZE = 5
 TOLERANCE = 8e-11  # largest unbalanced force over the weight: a few times the rounding error on stiff ground
 MAX_ITERATIONS = 60
 MAX_ATTEMPTS = 20
-FLAT = 0.1  # share of the initial slope at which the line search along a Newton step ends
+SLOPE_RATIO = 0.1  # share of the initial slope at which the line search along a Newton step ends
 
 
 class Machine(NamedTuple):
@@ -53,7 +53,7 @@ class Newton(NamedTuple):
     target: FloatArray  # (2,) m/s, track speeds at the oil flow
     limits: FloatArray  # (2, 2) N, lowest and highest thrust of each motor
     rolling: FloatArray  # (2,) R_j, N
-    push: FloatArray  # (3,) G
+    gravity: FloatArray  # (3,) G
     sums: ShearSums
     gradient: FloatArray  # (5,) unbalanced force
     matrix: FloatArray  # (5, 5) second derivatives, upper triangle
@@ -62,22 +62,22 @@ class Newton(NamedTuple):
     drive: FloatArray  # (2,) N, thrust of the motors
 
 
-def new_step(push: FloatArray) -> Newton:
-    """Work space for ``solve_step``; ``push`` is G, which the caller updates in place."""
+def new_step(gravity: FloatArray) -> Newton:
+    """Work space for ``solve_step``; ``gravity`` is G, which the caller updates in place."""
     sums = ShearSums(np.zeros((2, 3)), np.zeros((2, 6)))
-    given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2), push
+    given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2), gravity
     return Newton(*given, sums, np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5), np.zeros(2))
 
 
 @compiled
-def evaluate(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, newton: Newton) -> None:
+def evaluate_forces(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, newton: Newton) -> None:
     """Fill ``sums``, ``gradient`` and ``drive`` at q."""
     shear_sums(q, shear, tracks, machine.sliding_floor, newton.sums)
     force, gradient = newton.sums.force, newton.gradient
     for i in range(SIZE):
         gradient[i] = inertia_of(i, machine) / machine.step * (q[i] - newton.start[i])
         if i < 3:
-            gradient[i] -= newton.push[i]
+            gradient[i] -= newton.gravity[i]
     for k in range(2):
         arm = tracks.half_tread * (1.0 - 2.0 * k)
         v = q[0] - q[2] * arm
@@ -101,16 +101,16 @@ def inertia_of(i: int, machine: Machine) -> float:
 
 
 @compiled
-def assemble(q: FloatArray, machine: Machine, tracks: Tracks, newton: Newton) -> None:
-    """Fill ``matrix`` at q; ``evaluate`` must have been called at the same q."""
-    matrix, bends = newton.matrix, newton.sums.curvature
+def assemble_matrix(q: FloatArray, machine: Machine, tracks: Tracks, newton: Newton) -> None:
+    """Fill ``matrix`` at q; ``evaluate_forces`` must have been called at the same q."""
+    matrix, curvature = newton.matrix, newton.sums.curvature
     for i in range(SIZE):
         for column in range(i, SIZE):
             matrix[i, column] = inertia_of(i, machine) / machine.step if i == column else 0.0
     for k in range(2):
         arm = tracks.half_tread * (1.0 - 2.0 * k)
-        h_xx, h_xy, h_xyx = bends[k, 0], bends[k, 1], bends[k, 2]
-        h_yy, h_yyx, h_yyxx = bends[k, 3], bends[k, 4], bends[k, 5]
+        h_xx, h_xy, h_xyx = curvature[k, 0], curvature[k, 1], curvature[k, 2]
+        h_yy, h_yyx, h_yyxx = curvature[k, 3], curvature[k, 4], curvature[k, 5]
         v = q[0] - q[2] * arm
         rho = math.sqrt(v * v + machine.rolling_floor**2)
         roll = newton.rolling[k] * machine.rolling_floor**2 / rho**3
@@ -123,9 +123,9 @@ def assemble(q: FloatArray, machine: Machine, tracks: Tracks, newton: Newton) ->
         matrix[0, 3 + k] -= h_xx
         matrix[1, 3 + k] -= h_xy
         matrix[2, 3 + k] -= h_xyx - arm * h_xx
-        push = machine.drive_stiffness * (newton.target[k] - q[3 + k])
-        yields = not newton.limits[k, 0] < push < newton.limits[k, 1]
-        matrix[3 + k, 3 + k] += h_xx + (0.0 if yields else machine.drive_stiffness)
+        drive = machine.drive_stiffness * (newton.target[k] - q[3 + k])
+        is_limited = not newton.limits[k, 0] < drive < newton.limits[k, 1]
+        matrix[3 + k, 3 + k] += h_xx + (0.0 if is_limited else machine.drive_stiffness)
 
 
 @compiled
@@ -155,11 +155,11 @@ def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, ne
     for i in range(SIZE):
         newton.start[i] = q[i]
     set_relief_limits(q, machine, newton.limits)
-    evaluate(q, machine, tracks, shear, newton)
+    evaluate_forces(q, machine, tracks, shear, newton)
     for iteration in range(MAX_ITERATIONS):
-        if balanced(newton.gradient, machine.tolerance):
+        if is_balanced(newton.gradient, machine.tolerance):
             return iteration
-        assemble(q, machine, tracks, newton)
+        assemble_matrix(q, machine, tracks, newton)
         solve_symmetric(newton.matrix, newton.gradient, newton.change)
         slope = slope_along(newton)
         low_slope, high_slope = slope, 0.0
@@ -171,21 +171,21 @@ def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, ne
                 part = 0.5 * (low + high)
             for i in range(SIZE):
                 newton.trial[i] = q[i] - part * newton.change[i]
-            evaluate(newton.trial, machine, tracks, shear, newton)
-            here = slope_along(newton)
-            if abs(here) <= -FLAT * slope or (here < 0.0 and part == 1.0):
+            evaluate_forces(newton.trial, machine, tracks, shear, newton)
+            trial_slope = slope_along(newton)
+            if abs(trial_slope) <= -SLOPE_RATIO * slope or (trial_slope < 0.0 and part == 1.0):
                 break
-            if here > 0.0:
-                high, high_slope = part, here
+            if trial_slope > 0.0:
+                high, high_slope = part, trial_slope
             else:
-                low, low_slope = part, here
+                low, low_slope = part, trial_slope
         for i in range(SIZE):
             q[i] = newton.trial[i]
     return MAX_ITERATIONS
 
 
 @compiled
-def balanced(gradient: FloatArray, tolerance: float) -> bool:
+def is_balanced(gradient: FloatArray, tolerance: float) -> bool:
     """Whether the magnitudes of all unbalanced forces are below ``tolerance``."""
     count = 0
     for force in gradient:

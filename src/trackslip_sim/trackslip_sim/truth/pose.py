@@ -68,7 +68,9 @@ def body_rates(
 
 
 @compiled
-def move(pose: FloatArray, before: FloatArray, after: FloatArray, terrain: TerrainMap, step: float) -> None:
+def advance_pose(
+    pose: FloatArray, before: FloatArray, after: FloatArray, terrain: TerrainMap, step: float
+) -> None:
     """Advance ``pose`` (x, y, yaw) by the mean of two velocities (v_x, v_y, r); ground at the midpoint."""
     forward = 0.5 * step * (before[0] + after[0])
     left = 0.5 * step * (before[1] + after[1])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-KEPT = 20.0  # s, length of the past that remains available
+WINDOW_LENGTH = 20.0  # s, length of the past that remains available
 _AHEAD = 3  # samples: derivatives at the two samples about a time need one more
 
 
@@ -73,7 +73,7 @@ class Truth:
         """Name of the soil under C at one sample."""
         return self.soil_names[int(self.soil_index[index])]
 
-    def since(self, t: float) -> Truth:
+    def samples_since(self, t: float) -> Truth:
         """The samples from time ``t``, s, on, and the one before them."""
         first = max(0, int(np.searchsorted(self.t, t)) - 1)
         columns = {name: getattr(self, name)[first:] for name in COLUMNS}
@@ -90,7 +90,7 @@ class Truth:
         columns["t"] = t
         return Truth(**columns, soil_index=self.soil_index[before], soil_names=self.soil_names)
 
-    def at(self, t: float) -> Truth:
+    def sample_at(self, t: float) -> Truth:
         """The truth at one time, as a record of one sample."""
         return self.interpolate(t)
 
@@ -100,7 +100,7 @@ COLUMNS = tuple(
 )
 
 
-def joined(pieces: Sequence[Truth]) -> Truth:
+def join_pieces(pieces: Sequence[Truth]) -> Truth:
     """Consecutive pieces of one run as one record."""
     if len(pieces) == 1:
         return pieces[0]
@@ -110,7 +110,7 @@ def joined(pieces: Sequence[Truth]) -> Truth:
 
 
 class TruthWindow:
-    """Sliding window over one drive: pieces are computed on demand and dropped after ``KEPT`` s.
+    """Sliding window over one drive: pieces are computed on demand and dropped after ``WINDOW_LENGTH`` s.
 
     Attributes:
         truth: the record within the window.
@@ -120,7 +120,7 @@ class TruthWindow:
     def __init__(self, pieces: Iterable[Truth], duration: float) -> None:
         self._pieces = iter(pieces)
         self.duration = duration
-        self._begin(next(self._pieces))
+        self._set_truth(next(self._pieces))
 
     def advance(self, t: float) -> bool:
         """Advance the window to time ``t``, s; return whether ``truth`` changed."""
@@ -129,10 +129,10 @@ class TruthWindow:
             piece = next(self._pieces, None)
             if piece is None:
                 break
-            self._begin(joined([self.truth.since(t - KEPT), piece]))
+            self._set_truth(join_pieces([self.truth.samples_since(t - WINDOW_LENGTH), piece]))
             advanced = True
         return advanced
 
-    def _begin(self, truth: Truth) -> None:
+    def _set_truth(self, truth: Truth) -> None:
         self.truth = truth
         self._until = float(truth.t[max(-_AHEAD, -len(truth))])

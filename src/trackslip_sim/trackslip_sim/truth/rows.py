@@ -59,7 +59,7 @@ class UnsolvedStepError(ArithmeticError):
     """The solver did not balance the forces of a step: a defect of the solver, not of the input."""
 
 
-def refuse_unsolved(rows: FloatArray, limit: int) -> None:
+def require_solved(rows: FloatArray, limit: int) -> None:
     """Check that each step of ``rows`` (n, WIDTH) took fewer iterations than ``limit``.
 
     Raises:

@@ -18,20 +18,20 @@ from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
-from trackslip_sim.truth.burden import resting_centre
+from trackslip_sim.truth.burden import unloaded_centre
 from trackslip_sim.truth.contact import (
     Shear,
     Tracks,
-    carry,
+    advect_shear,
     element_positions,
     find_soils,
     limit_shear,
     mobilise,
-    unsheared,
+    undisturbed_shear,
 )
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
-from trackslip_sim.truth.lag import Valves, spools, valves_of
-from trackslip_sim.truth.load import Load, press, weigh
+from trackslip_sim.truth.lag import Valves, spool_positions, valves_of
+from trackslip_sim.truth.load import Load, distribute_load, set_normal_force
 from trackslip_sim.truth.motion import (
     MAX_ITERATIONS,
     SIZE,
@@ -41,13 +41,13 @@ from trackslip_sim.truth.motion import (
     new_step,
     solve_step,
 )
-from trackslip_sim.truth.pose import attitude_of, body_rates, move, pose_rates
-from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved
+from trackslip_sim.truth.pose import advance_pose, attitude_of, body_rates, pose_rates
+from trackslip_sim.truth.rows import WIDTH, Column, require_solved
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, Terrain, TerrainMap, shape_at
 
-SETTLING = 3.0  # s at standstill on a slope before the start: the soil shears until it holds the machine
-BLUNT = 2.0  # contact lengths: least radius of ground on which the tangent plane stands for the ground
+SETTLING_TIME = 3.0  # s at standstill on a slope before the start: the soil shears until it holds the machine
+MIN_RADIUS = 2.0  # contact lengths: least radius of ground on which the tangent plane stands for the ground
 
 
 class Model(NamedTuple):
@@ -58,7 +58,7 @@ class Model(NamedTuple):
     ground: SoilMap
     terrain: TerrainMap
     valves: Valves
-    every: int  # steps between two rows
+    steps_per_row: int  # steps between two rows
 
 
 class State(NamedTuple):
@@ -76,7 +76,7 @@ class State(NamedTuple):
 
 
 @compiled
-def turn_axes(q: FloatArray, step: float) -> None:
+def rotate_velocity(q: FloatArray, step: float) -> None:
     """Express the hull's velocity in the body axes at the end of the step (the m φ̇ v terms)."""
     cos, sin = math.cos(q[2] * step), math.sin(q[2] * step)
     q[0], q[1] = cos * q[0] + sin * q[1], cos * q[1] - sin * q[0]
@@ -111,38 +111,38 @@ def write_row(row: FloatArray, model: Model, state: State, iterations: int) -> N
 
 
 @compiled
-def lie(model: Model, state: State) -> None:
+def set_contact_loads(model: Model, state: State) -> None:
     """Fill ``load`` and the elements' loads for the next step: ground at the midpoint, axes at the end."""
     q, pose, half = state.q, state.pose, 0.5 * model.machine.step
     shape_at(pose[0], pose[1], model.terrain, state.shape)
     x, y, yaw = pose_rates(state.shape, pose[2], half * q[0], half * q[1], half * q[2])
     shape_at(pose[0] + x, pose[1] + y, model.terrain, state.shape)
     pitch, roll = attitude_of(state.shape, pose[2] + 2.0 * yaw)
-    weigh(state.load, pitch, roll)
-    press(state.load, model.tracks)
+    set_normal_force(state.load, pitch, roll)
+    distribute_load(state.load, model.tracks)
 
 
 @compiled
-def feel(model: Model, state: State) -> None:
-    """Set ``load.felt``: the hull's acceleration in the step solved last."""
+def set_acceleration(model: Model, state: State) -> None:
+    """Set ``load.acceleration``: the hull's acceleration in the step solved last."""
     for i in range(2):
-        state.load.felt[i] = (state.q[i] - state.newton.start[i]) / model.machine.step
+        state.load.acceleration[i] = (state.q[i] - state.newton.start[i]) / model.machine.step
 
 
 @compiled
-def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State) -> FloatArray:
-    """Advance under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps.
+def integrate(spool: FloatArray, mass_properties: FloatArray, model: Model, state: State) -> FloatArray:
+    """Advance under spools (1 + steps, 2); a row (WIDTH,) after each ``steps_per_row`` steps.
 
-    ``burden``: weight and centre as in ``Load``, (steps, 4), or (1, 4) if constant.
+    ``mass_properties``: weight and centre as in ``Load``, (steps, 4), or (1, 4) if constant.
     """
     tracks, newton, q = model.tracks, state.newton, state.q
     step, radius = model.machine.step, model.valves.radius
-    rows = np.zeros(((len(spool) - 1) // model.every, WIDTH))
+    rows = np.zeros(((len(spool) - 1) // model.steps_per_row, WIDTH))
     worst = 0
     for i in range(len(spool) - 1):
         for n in range(4):
-            state.load.burden[n] = burden[min(i, len(burden) - 1), n]
-        lie(model, state)
+            state.load.mass_properties[n] = mass_properties[min(i, len(mass_properties) - 1), n]
+        set_contact_loads(model, state)
         find_soils(state.pose, tracks, model.ground, state.shear)
         mobilise(state.shear, tracks, model.ground)
         for k in range(2):
@@ -153,16 +153,16 @@ def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State)
                 newton.rolling[k] += model.ground.table[state.shear.soil[k, e], 3] * tracks.load[k, e]  # μ_r
         for n in range(SIZE):
             state.before[n] = q[n]
-        turn_axes(q, step)
+        rotate_velocity(q, step)
         worst = max(worst, solve_step(q, model.machine, tracks, state.shear, newton))
-        feel(model, state)
-        carry(state.shear, q, tracks, step)
+        set_acceleration(model, state)
+        advect_shear(state.shear, q, tracks, step)
         limit_shear(state.shear, model.ground)
-        move(state.pose, state.before, q, model.terrain, step)
+        advance_pose(state.pose, state.before, q, model.terrain, step)
         for k in range(2):
             state.angle[k] += 0.5 * step * (state.before[3 + k] + q[3 + k]) / radius
-        if (i + 1) % model.every == 0:
-            write_row(rows[(i + 1) // model.every - 1], model, state, worst)
+        if (i + 1) % model.steps_per_row == 0:
+            write_row(rows[(i + 1) // model.steps_per_row - 1], model, state, worst)
             worst = 0
     return rows
 
@@ -178,10 +178,10 @@ class ShearDrive:
     def __init__(
         self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
     ) -> None:
-        centre = resting_centre(vehicle, settings)
+        centre = unloaded_centre(vehicle, settings)
         _check_load(centre, vehicle)
-        self._high = float(ground.terrain != FLAT)  # factor of h_g, 0 on flat ground
-        burden = self._burden(np.array(((vehicle.weight, *centre),)))
+        self._height_factor = float(ground.terrain != FLAT)  # factor of h_g, 0 on flat ground
+        mass_properties = self._mass_properties(np.array(((vehicle.weight, *centre),)))
         self.relief_pressure = relief_pressure
         self._terrain = ground.terrain
         _check_terrain(self._terrain, vehicle)
@@ -194,44 +194,48 @@ class ShearDrive:
             settings.steps_per_sample,
         )
         still = (np.zeros(3), np.zeros(SIZE), np.zeros(SIZE), np.zeros(2), np.zeros(2))
-        load = Load(burden[0], np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1))
+        load = Load(mass_properties[0], np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1))
         step = new_step(load.gravity)
-        self._state = State(*still, unsheared(settings.elements), load, np.zeros(6), step)
-        lie(self._model, self._state)
+        self._state = State(*still, undisturbed_shear(settings.elements), load, np.zeros(6), step)
+        set_contact_loads(self._model, self._state)
         if self._terrain != FLAT:
-            self._settle(round(SETTLING / settings.step))
+            self._settle(round(SETTLING_TIME / settings.step))
 
     def _settle(self, steps: int) -> None:
         """Integrate ``steps`` at standstill, so that the soil holds the machine; then reset the pose to 0."""
         state = self._state
-        integrate(np.zeros((steps + 1, 2)), state.load.burden[None].copy(), self._model, state)
-        for start in (state.pose, state.q, state.before, state.angle, state.load.felt):
+        integrate(np.zeros((steps + 1, 2)), state.load.mass_properties[None].copy(), self._model, state)
+        for start in (state.pose, state.q, state.before, state.angle, state.load.acceleration):
             start[:] = 0.0
-        lie(self._model, state)
+        set_contact_loads(self._model, state)
         self._check_upright()
 
-    def first(self) -> FloatArray:
+    def first_row(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
         row = np.zeros((1, WIDTH))
         write_row(row[0], self._model, self._state, 0)
         return row
 
-    def _burden(self, rows: FloatArray) -> FloatArray:
+    def _mass_properties(self, rows: FloatArray) -> FloatArray:
         """Rows (n, 4) of ``Load``; the height of the centre is set to 0 on flat ground."""
-        return np.ascontiguousarray(rows * (1.0, 1.0, 1.0, self._high))
+        return np.ascontiguousarray(rows * (1.0, 1.0, 1.0, self._height_factor))
 
-    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; burden as in ``Mode``.
+    def drive(self, commands: FloatArray, mass_properties: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; loads as in ``Mode``.
 
         Raises:
             InputError: the machine tips over.
             UnsolvedStepError: the solver did not balance a step.
         """
         commands = np.ascontiguousarray(commands, dtype=np.float64)
-        spool = spools(commands, self._model.valves, self._state.spool)
-        held = self._state.load.burden[None].copy() if burden is None else self._burden(burden)
+        spool = spool_positions(commands, self._model.valves, self._state.spool)
+        held = (
+            self._state.load.mass_properties[None].copy()
+            if mass_properties is None
+            else self._mass_properties(mass_properties)
+        )
         rows: FloatArray = integrate(spool, held, self._model, self._state)
-        refuse_unsolved(rows, MAX_ITERATIONS)
+        require_solved(rows, MAX_ITERATIONS)
         self._check_upright()
         return rows
 
@@ -245,11 +249,11 @@ class ShearDrive:
 
 
 def _check_terrain(terrain: Terrain, vehicle: Vehicle) -> None:
-    least = BLUNT * vehicle.contact_length
+    least = MIN_RADIUS * vehicle.contact_length
     if not terrain.radius >= least:
         raise InputError(
             f"terrain '{terrain.name}': a bend of radius {terrain.radius:.3g} m is refused;"
-            f" accepted: >= {least:.3g} m, {BLUNT:g} contact lengths"
+            f" accepted: >= {least:.3g} m, {MIN_RADIUS:g} contact lengths"
         )
 
 

@@ -16,9 +16,9 @@ from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UpperStructure, Vehicle
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth.burden import Burden
+from trackslip_sim.truth.burden import MassProperties
 from trackslip_sim.truth.ground import Ground, build_ground
-from trackslip_sim.truth.record import Truth, joined
+from trackslip_sim.truth.record import Truth, join_pieces
 from trackslip_sim.truth.rows import Recorder
 from trackslip_sim.truth.settings import TruthSettings, load_settings
 from trackslip_sim.truth.shear import ShearDrive
@@ -38,13 +38,13 @@ class Mode(Protocol):
     ) -> None:
         """Raise ``InputError`` where vehicle, soils and settings are incompatible."""
 
-    def first(self) -> FloatArray:
+    def first_row(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
 
-    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
+    def drive(self, commands: FloatArray, mass_properties: FloatArray | None = None) -> FloatArray:
         """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
 
-        ``burden`` (n, 4): weight, N, and centre of gravity, m, of the machine; None: unchanged.
+        ``mass_properties`` (n, 4): weight, N, and centre of gravity, m, of the machine; None: unchanged.
         """
 
 
@@ -71,7 +71,7 @@ def simulate(
     pieces = simulate_in_pieces(
         scenario, soil=soil, mode=mode, vehicle=vehicle, settings=settings, upper=upper
     )
-    return joined(list(pieces))
+    return join_pieces(list(pieces))
 
 
 def simulate_in_pieces(
@@ -99,25 +99,30 @@ def simulate_in_pieces(
     relief = scenario.relief_pressure or vehicle.relief_pressure
     machine = MODES[mode](ground, vehicle, settings, relief)
     recorder = Recorder(vehicle, settings, machine.relief_pressure, ground.names)
-    swing, burden = Swing(scenario, upper, settings), Burden(scenario, vehicle, upper, settings)
-    return _drive(machine, recorder, swing, burden)
+    swing, mass_properties = (
+        Swing(scenario, upper, settings),
+        MassProperties(scenario, vehicle, upper, settings),
+    )
+    return _simulate_pieces(machine, recorder, swing, mass_properties)
 
 
-def _drive(machine: Mode, recorder: Recorder, swing: Swing, burden: Burden) -> Iterator[Truth]:
-    settings, scenario = recorder.settings, burden.scenario
+def _simulate_pieces(
+    machine: Mode, recorder: Recorder, swing: Swing, mass_properties: MassProperties
+) -> Iterator[Truth]:
+    settings, scenario = recorder.settings, mass_properties.scenario
     every = settings.steps_per_sample
     steps = scenario.steps(settings.step)
     piece = max(1, round(PIECE / settings.sample_period)) * every
     done = 1
-    start = recorder.truth(machine.first())
+    start = recorder.truth(machine.first_row())
     for begin in range(0, steps, piece):
         end = min(begin + piece, steps)
         swung = swing.drive(begin, end)
         rows = machine.drive(
-            scenario.commands(settings.step, begin, end), burden.rows(swung[:, 0], begin, end)
+            scenario.commands(settings.step, begin, end), mass_properties.rows(swung[:, 0], begin, end)
         )
         truth = recorder.truth(rows, done, swung[every - 1 :: every])
-        yield joined([start, truth]) if begin == 0 else truth
+        yield join_pieces([start, truth]) if begin == 0 else truth
         done += len(rows)
 
 

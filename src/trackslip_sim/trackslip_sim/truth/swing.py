@@ -31,10 +31,10 @@ class Swing:
 
     def __init__(self, scenario: Scenario, upper: UpperStructure | None, settings: TruthSettings) -> None:
         self._scenario, self._settings = scenario, settings
-        self._still = not scenario.swings
+        self._is_still = not scenario.has_swing
         self._drive = (0.0, 0.0, 0.0)
         self._state = np.zeros(3)
-        if self._still:
+        if self._is_still:
             return
         if upper is None or upper.drive is None:
             raise InputError(
@@ -45,14 +45,14 @@ class Swing:
 
     def drive(self, begin: int, end: int) -> FloatArray:
         """(n, 2) σ and its rate after each of the steps ``begin`` to ``end`` (excluded)."""
-        if self._still:
+        if self._is_still:
             return np.zeros((end - begin, 2))
         targets = self._scenario.swing_targets(self._settings.step, begin, end)
-        return np.asarray(swing_to(targets, self._drive, self._settings.step, self._state))
+        return np.asarray(swing_motion(targets, self._drive, self._settings.step, self._state))
 
 
 @compiled
-def swing_to(
+def swing_motion(
     targets: FloatArray, drive: tuple[float, float, float], step: float, state: FloatArray
 ) -> FloatArray:
     """(n, 2) σ and its rate after each step towards ``targets`` (n,), rad; ``drive`` is w, a, b.

@@ -22,7 +22,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 
-STEEPEST = math.radians(45.0)  # of one feature
+MAX_SLOPE = math.radians(45.0)  # of one feature
 _PLANE, _RAMP, _HILL = 0.0, 1.0, 2.0
 _WIDTH = 6
 
@@ -94,7 +94,7 @@ class Terrain:
     """The sum of its features.
 
     Raises:
-        InputError: a feature is steeper than ``STEEPEST``.
+        InputError: a feature is steeper than ``MAX_SLOPE``.
     """
 
     name: str
@@ -102,10 +102,10 @@ class Terrain:
 
     def __post_init__(self) -> None:
         for feature in self.features:
-            if not abs(feature.slope) <= STEEPEST:
+            if not abs(feature.slope) <= MAX_SLOPE:
                 raise InputError(
                     f"terrain '{self.name}': a slope of {math.degrees(feature.slope):.3g}° is refused;"
-                    f" accepted: within ±{math.degrees(STEEPEST):g}°"
+                    f" accepted: within ±{math.degrees(MAX_SLOPE):g}°"
                 )
 
     @property
@@ -149,8 +149,8 @@ def shape_at(x: float, y: float, terrain: TerrainMap, shape: FloatArray) -> None
             d = cos * x + sin * y
             height, slope, bend = d, 1.0, 0.0
             if row[0] == _RAMP:
-                up, up_slope, up_bend = _bend((d - row[3]) / row[5])
-                down, down_slope, down_bend = _bend((d - row[3] - row[4]) / row[5])
+                up, up_slope, up_bend = _rounding_profile((d - row[3]) / row[5])
+                down, down_slope, down_bend = _rounding_profile((d - row[3] - row[4]) / row[5])
                 height, slope = row[5] * (up - down), up_slope - down_slope
                 bend = (up_bend - down_bend) / row[5]
             shape[0] += steep * height
@@ -162,7 +162,7 @@ def shape_at(x: float, y: float, terrain: TerrainMap, shape: FloatArray) -> None
 
 
 @compiled
-def _bend(t: float) -> tuple[float, float, float]:
+def _rounding_profile(t: float) -> tuple[float, float, float]:
     """Integral of S up to t, S, and its derivative."""
     if t <= 0.0:
         return 0.0, 0.0, 0.0

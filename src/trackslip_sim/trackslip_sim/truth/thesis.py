@@ -26,9 +26,9 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
-from trackslip_sim.truth.lag import Valves, spools, valves_of
-from trackslip_sim.truth.pose import move
-from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
+from trackslip_sim.truth.lag import Valves, spool_positions, valves_of
+from trackslip_sim.truth.pose import advance_pose
+from trackslip_sim.truth.rows import WIDTH, Column, require_solved, start_row
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, TerrainMap
 
@@ -57,10 +57,10 @@ class Model(NamedTuple):
     ground: SoilMap
     terrain: TerrainMap
     valves: Valves
-    every: int  # steps between two rows
+    steps_per_row: int  # steps between two rows
 
 
-class Balance(NamedTuple):
+class ForceBalance(NamedTuple):
     """Input of one step, and the forces at the velocity evaluated last."""
 
     start: FloatArray  # (3,) q before the step
@@ -81,21 +81,23 @@ class State(NamedTuple):
     q: FloatArray  # (3,) v_x, v_y, φ̇
     angle: FloatArray  # (2,) rad, of the sprockets
     spool: FloatArray  # (2,) -1 … 1
-    step: Balance
+    step: ForceBalance
 
 
 @compiled
-def balance(q: FloatArray, body: Body, at: Balance) -> None:
+def evaluate_forces(q: FloatArray, body: Body, step: ForceBalance) -> None:
     """Fill the forces, their slopes, thrusts, resistances and moment at q."""
-    h, start, soil, force, slope = body.half_tread, at.start, at.soil, at.force, at.slope
+    h, start, soil, force, slope = body.half_tread, step.start, step.soil, step.force, step.slope
     inertia = body.yaw_inertia / h
     force[0], force[1] = body.mass * (q[0] - start[0]) / body.step, inertia * (q[2] - start[2]) / body.step
     slope[0], slope[1], slope[2] = body.mass / body.step, 0.0, inertia / body.step
     for k in range(2):
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
-        reach = body.length / (max(abs(at.u[k]), body.slip_floor) * soil[1])  # i l/K of one m/s of sliding
-        x = (at.u[k] - v) * reach
+        slip_gain = body.length / (
+            max(abs(step.u[k]), body.slip_floor) * soil[1]
+        )  # i l/K of one m/s of sliding
+        x = (step.u[k] - v) * slip_gain
         size = abs(x)
         if size < 1e-4:
             share, bend = 0.5 * size, 0.5 - size / 3.0
@@ -104,42 +106,42 @@ def balance(q: FloatArray, body: Body, at: Balance) -> None:
             bend = (1.0 - share - math.exp(-size)) / size
         rho = math.sqrt(v * v + body.rolling_floor**2)
         limit = 0.5 * soil[2] * body.weight
-        at.thrust[k] = math.copysign(soil[0] * share, x)
-        at.resistance[k] = limit * v / rho
-        steep = soil[0] * bend * reach + limit * body.rolling_floor**2 / rho**3
-        force[0] += at.resistance[k] - at.thrust[k]
-        force[1] -= side * (at.resistance[k] - at.thrust[k])
-        slope[0] += steep
-        slope[1] -= side * steep
-        slope[2] += h * steep
+        step.thrust[k] = math.copysign(soil[0] * share, x)
+        step.resistance[k] = limit * v / rho
+        force_slope = soil[0] * bend * slip_gain + limit * body.rolling_floor**2 / rho**3
+        force[0] += step.resistance[k] - step.thrust[k]
+        force[1] -= side * (step.resistance[k] - step.thrust[k])
+        slope[0] += force_slope
+        slope[1] -= side * force_slope
+        slope[2] += h * force_slope
     moment = soil[3] * body.weight * body.length / 3.0
     tightness = q[2] * h / max(abs(start[0]), body.slip_floor)
-    at.moment[0] = moment * min(max(tightness, -1.0), 1.0)
-    force[1] += at.moment[0] / h
+    step.moment[0] = moment * min(max(tightness, -1.0), 1.0)
+    force[1] += step.moment[0] / h
     if abs(tightness) < 1.0:
         slope[2] += moment / max(abs(start[0]), body.slip_floor)
 
 
 @compiled
-def solve(q: FloatArray, body: Body, at: Balance) -> int:
+def solve_step(q: FloatArray, body: Body, step: ForceBalance) -> int:
     """Advance q by one implicit step: Newton's, halved until the residual falls; returns the iterations."""
-    trial = at.trial
+    trial = step.trial
     for i in range(3):
-        at.start[i] = trial[i] = q[i]
-    balance(q, body, at)
+        step.start[i] = trial[i] = q[i]
+    evaluate_forces(q, body, step)
     for iteration in range(MAX_ITERATIONS):
-        force, moment = at.force[0], at.force[1]
-        left_over = math.hypot(force, moment)
-        if left_over < TOLERANCE:
+        force, moment = step.force[0], step.force[1]
+        residual = math.hypot(force, moment)
+        if residual < TOLERANCE:
             return iteration
-        a, b, c, d = at.slope[0], body.half_tread * at.slope[1], at.slope[1], at.slope[2]
+        a, b, c, d = step.slope[0], body.half_tread * step.slope[1], step.slope[1], step.slope[2]
         scale = a * d - b * c
         dv, dw = (d * force - b * moment) / scale, (a * moment - c * force) / scale
         part = 1.0
         for _ in range(MAX_HALVINGS):
             trial[0], trial[2] = q[0] - part * dv, q[2] - part * dw
-            balance(trial, body, at)
-            if math.hypot(at.force[0], at.force[1]) < left_over:
+            evaluate_forces(trial, body, step)
+            if math.hypot(step.force[0], step.force[1]) < residual:
                 break
             part *= 0.5
         for i in range(3):
@@ -150,46 +152,48 @@ def solve(q: FloatArray, body: Body, at: Balance) -> int:
 @compiled
 def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]) -> None:
     """Fill one row; ``counts`` are the soil's index and the iterations."""
-    q, at = state.q, state.step
+    q, step = state.q, state.step
     for i in range(3):
         row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
     for k in range(2):
-        row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = at.u[k], state.angle[k]
-        row[Column.THRUST + k], row[Column.DRIVE + k] = at.thrust[k], at.thrust[k]
-        row[Column.RESISTANCE + k], row[Column.SPOOL + k] = at.resistance[k], state.spool[k]
+        row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = step.u[k], state.angle[k]
+        row[Column.THRUST + k], row[Column.DRIVE + k] = step.thrust[k], step.thrust[k]
+        row[Column.RESISTANCE + k], row[Column.SPOOL + k] = step.resistance[k], state.spool[k]
         row[Column.LOAD + k] = 0.5 * body.weight
-    row[Column.MOMENT] = at.moment[0]
-    power = at.thrust[0] * at.u[0] + at.thrust[1] * at.u[1]
-    left, right = at.thrust[0] - at.resistance[0], at.thrust[1] - at.resistance[1]
-    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - at.moment[0])
+    row[Column.MOMENT] = step.moment[0]
+    power = step.thrust[0] * step.u[0] + step.thrust[1] * step.u[1]
+    left, right = step.thrust[0] - step.resistance[0], step.thrust[1] - step.resistance[1]
+    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - step.moment[0])
     row[Column.POWER], row[Column.LOSS] = power, power - gain
     row[Column.SOIL], row[Column.ITERATIONS] = counts
 
 
 @compiled
 def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
-    """Advance under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
-    body, q, at = model.body, state.q, state.step
-    top = model.valves.top_speed * model.valves.radius
+    """Advance under spools (1 + steps, 2); a row (WIDTH,) after each ``steps_per_row`` steps."""
+    body, q, step = model.body, state.q, state.step
+    top_speed = model.valves.top_speed * model.valves.radius
     before = np.zeros(3)
-    rows = np.zeros(((len(spool) - 1) // model.every, WIDTH))
+    rows = np.zeros(((len(spool) - 1) // model.steps_per_row, WIDTH))
     worst = 0
     for i in range(1, len(spool)):
-        here = soil_at(state.pose[0], state.pose[1], model.ground)
+        soil = soil_at(state.pose[0], state.pose[1], model.ground)
         for n in range(3):
             before[n] = q[n]
         for n in range(4):
-            at.soil[n] = model.ground.table[here, n]
+            step.soil[n] = model.ground.table[soil, n]
         for k in range(2):
-            at.u[k], state.spool[k] = spool[i, k] * top, spool[i, k]
-        worst = max(worst, solve(q, body, at))
+            step.u[k], state.spool[k] = spool[i, k] * top_speed, spool[i, k]
+        worst = max(worst, solve_step(q, body, step))
         # tan α = -sign(φ̇) φ̇² l/(4 g μ_l), erratum 6
-        q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * at.soil[3])
-        move(state.pose, before, q, model.terrain, body.step)
+        q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * step.soil[3])
+        advance_pose(state.pose, before, q, model.terrain, body.step)
         for k in range(2):
-            state.angle[k] += 0.5 * body.step * (spool[i - 1, k] + spool[i, k]) * top / model.valves.radius
-        if i % model.every == 0:
-            write_row(rows[i // model.every - 1], state, body, (here, worst))
+            state.angle[k] += (
+                0.5 * body.step * (spool[i - 1, k] + spool[i, k]) * top_speed / model.valves.radius
+            )
+        if i % model.steps_per_row == 0:
+            write_row(rows[i // model.steps_per_row - 1], state, body, (soil, worst))
             worst = 0
     return rows
 
@@ -216,23 +220,23 @@ class ThesisDrive:
             settings.steps_per_sample,
         )
         self._weight = vehicle.weight
-        work = Balance(*(np.zeros(size) for size in (3, 3, 2, 4, 2, 3, 2, 2, 1)))
+        work = ForceBalance(*(np.zeros(size) for size in (3, 3, 2, 4, 2, 3, 2, 2, 1)))
         self._state = State(np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(2), work)
 
-    def first(self) -> FloatArray:
+    def first_row(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
         return start_row(self._model.ground, self._weight)
 
-    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; ``burden`` is ignored.
+    def drive(self, commands: FloatArray, mass_properties: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; loads are ignored.
 
         Raises:
             UnsolvedStepError: the solver did not balance a step.
         """
-        del burden
-        spool = spools(commands, self._model.valves, self._state.spool)
+        del mass_properties
+        spool = spool_positions(commands, self._model.valves, self._state.spool)
         rows: FloatArray = integrate(spool, self._model, self._state)
-        refuse_unsolved(rows, MAX_ITERATIONS)
+        require_solved(rows, MAX_ITERATIONS)
         return rows
 
 

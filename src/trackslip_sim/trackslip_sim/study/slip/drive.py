@@ -23,7 +23,7 @@ from trackslip_sim.machine.placement import upper_poses
 from trackslip_sim.machine.sensors import SensorNoise, mounting_of
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.study.slip.kernels import RecordArray, Rows, lie
+from trackslip_sim.study.slip.kernels import RecordArray, Rows, set_attitude
 from trackslip_sim.study.slip.parameters import NODE, Cell, StudyParameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
@@ -34,7 +34,7 @@ from trackslip_tools.replay.scoring import MIN_MOVING_SPEED
 class Drive:
     """Rows of measurements in the order of their stamps, after the fix at time 0 that starts the filters."""
 
-    whole: Truth  # evenly sampled
+    full_truth: Truth  # evenly sampled
     truth: Truth  # at the rows
     begin: Window  # state of the estimator at the start
     rows: Rows  # values and noises are set per run and cell
@@ -43,27 +43,27 @@ class Drive:
     scored: IntArray  # (s,) ``samples`` after settling
     moving: BoolArray  # (s,) whether slips are defined
     turning: BoolArray  # (s,) moving, and in a turn
-    seen: FloatArray  # (k, 3) true pose of the sensor of the fixes
-    begins_at: FloatArray  # (3,) true pose of this sensor at the start
-    shown_rate: FloatArray  # (k,) true yaw rate of the gyro's mount, rad/s
+    sensor_poses: FloatArray  # (k, 3) true pose of the sensor of the fixes
+    start_sensor_pose: FloatArray  # (3,) true pose of this sensor at the start
+    gyro_rate: FloatArray  # (k,) true yaw rate of the gyro's mount, rad/s
     swings: bool  # whether any sensor is mounted on the upper structure
     fix_size: int  # components of a fix: 3, or 2 without heading
     noise: SensorNoise  # of the other axes of the inertial unit, used on terrain
 
     @property
-    def fixes(self) -> BoolArray:
+    def is_fix(self) -> BoolArray:
         """(k,) whether a row is a pose."""
         fixes: BoolArray = self.rows.measurements["kind"] == POSE
         return fixes
 
     @property
-    def rates(self) -> BoolArray:
+    def is_rate(self) -> BoolArray:
         """(k,) whether a row is a yaw rate."""
         rates: BoolArray = self.rows.measurements["kind"] == YAW_RATE
         return rates
 
     @property
-    def angles(self) -> BoolArray:
+    def is_angle(self) -> BoolArray:
         """(k,) whether a row is an angle of the swing encoder."""
         angles: BoolArray = self.rows.measurements["kind"] == ON_SWING
         return angles
@@ -71,9 +71,9 @@ class Drive:
     def with_noise(self, cell: Cell, sigma_heading: float) -> RecordArray:
         """(k,) measurements with the noises of a cell, without the values of a run."""
         measurements = self.rows.measurements.copy()
-        measurements["noise"][self.fixes] = np.diag(np.square(fix_deviations(cell, sigma_heading)))
+        measurements["noise"][self.is_fix] = np.diag(np.square(fix_deviations(cell, sigma_heading)))
         for axis in range(3 if cell.terrain else 1):
-            measurements["noise"][self.rates, axis, axis] = cell.sigma_omega**2
+            measurements["noise"][self.is_rate, axis, axis] = cell.sigma_omega**2
         return measurements
 
 
@@ -88,25 +88,25 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     Raises:
         InputError: scenario, soil or sources are refused, or on level ground nothing moves after settling.
     """
-    truth = _simulated(p, estimator, soil, terrain)
+    truth = _simulate(p, estimator, soil, terrain)
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
     readings = [*_rates(p.gyro_rate, end, estimator), *_angles(p.swing_rate, end, estimator)]
     found = [*sprockets, *readings, *_fixes(p, end, estimator)]
-    begin, rows = _read(found, estimator)
+    begin, rows = _read_log(found, estimator)
     stamps_ns, kinds = rows.measurements["stamp_ns"], rows.measurements["kind"]
     at = truth.interpolate(stamps_ns * 1e-9)
     samples = np.flatnonzero(kinds == SPROCKETS)
     scored = samples[at.t[samples] > p.settling]
     if terrain:
-        lie(rows.drives, np.stack((at.roll, at.pitch), axis=1), _body_rates(at))
-    moving = _moving(at, estimator)[scored]
+        set_attitude(rows.drives, np.stack((at.roll, at.pitch), axis=1), _body_rates(at))
+    moving = _is_moving(at, estimator)[scored]
     if not moving.any() and not terrain:  # too steep a slope: only the pose is scored
         raise InputError(
             f"{NODE}: after {p.settling:g} s of settling nothing moves in '{p.scenario}' on {soil}"
         )
     return Drive(
-        whole=truth,
+        full_truth=truth,
         truth=at,
         begin=begin,
         rows=rows,
@@ -116,21 +116,21 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         moving=moving,
         turning=moving & (rows.drives["motion"]["motion"][scored] == Motion.TURNING),
         noise=load_emulator_parameters({}).noise,
-        seen=_seen(at, estimator),
-        begins_at=_seen(truth.at(0.0), estimator)[0],
-        shown_rate=_shown_rate(at, estimator),
+        sensor_poses=_sensor_poses(at, estimator),
+        start_sensor_pose=_sensor_poses(truth.sample_at(0.0), estimator)[0],
+        gyro_rate=_gyro_rate(at, estimator),
         swings=estimator.swings,
-        fix_size=3 if estimator.poses()[_first(estimator.poses(), "pose_sources")].use_heading else 2,
+        fix_size=3 if estimator.poses()[_first_source(estimator.poses(), "pose_sources")].use_heading else 2,
     )
 
 
-def _simulated(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str, terrain: str) -> Truth:
+def _simulate(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str, terrain: str) -> Truth:
     scenario = load_scenario(p.scenario, terrain, p.duration)
     whole, upper = estimator.vehicle.whole(), estimator.vehicle.upper_structure
     return simulate(scenario, soil=soil, vehicle=whole, upper=upper)
 
 
-def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
+def _read_log(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
     """The state at the start, and the rows after it with their sprocket speeds."""
     log = make_log(to_records(found, SlipEstimator(p).sources), p)
     start, config = start_of_log(log, p, np.zeros(0, EVENT))
@@ -151,22 +151,22 @@ def _sprockets(truth: Truth, p: StudyParameters, end: float, resolution: float) 
     angles = np.stack((at.left_angle, at.right_angle), axis=1)
     counted = np.floor(angles / resolution) * resolution if resolution > 0.0 else angles
     for t, (left, right) in zip(times.tolist(), counted.tolist(), strict=True):
-        yield Sprockets("sprockets", _ns(t), 0.0, 0.0, (left, right))
+        yield Sprockets("sprockets", _to_ns(t), 0.0, 0.0, (left, right))
 
 
 def _rates(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
     """Yaw rates at ``rate`` Hz with placeholder values."""
-    source = _first(estimator.gyros(), "yaw_rate_sources")
+    source = _first_source(estimator.gyros(), "yaw_rate_sources")
     for k in range(1, int(end * rate + 1e-6) + 1):
-        yield YawRate(source, _ns(k / rate), 0.0, 1.0)
+        yield YawRate(source, _to_ns(k / rate), 0.0, 1.0)
 
 
 def _fixes(p: StudyParameters, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
     """Fixes from time 0 on, with placeholder values."""
-    source = _first(estimator.poses(), "pose_sources")
+    source = _first_source(estimator.poses(), "pose_sources")
     covariance = np.diag((1.0, 1.0, p.sigma_heading**2))
     for k in range(int(end * p.fix_rate + 1e-6) + 1):
-        yield PoseFix(source, _ns(k / p.fix_rate), np.zeros(3), covariance)
+        yield PoseFix(source, _to_ns(k / p.fix_rate), np.zeros(3), covariance)
 
 
 def _angles(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
@@ -174,10 +174,10 @@ def _angles(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iter
     stddev = mounting_of(estimator.vehicle).encoder_stddev
     for source in list(estimator.swing_encoders())[:1]:
         for k in range(1, int(end * rate + 1e-6) + 1):
-            yield SwingAngle(source, _ns(k / rate), 0.0, stddev**2)
+            yield SwingAngle(source, _to_ns(k / rate), 0.0, stddev**2)
 
 
-def _seen(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
+def _sensor_poses(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
     """(k, 3) true pose of the sensor of the fixes, on level ground."""
     source = next(iter(estimator.poses().values()))
     poses = np.stack((at.x, at.y, at.yaw), axis=1)
@@ -191,19 +191,19 @@ def _seen(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
     return poses
 
 
-def _shown_rate(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
+def _gyro_rate(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
     """(k,) true yaw rate of the gyro's mount, rad/s."""
     above = next(iter(estimator.gyros().values())).above
     return at.yaw_rate + at.swing_rate if above else at.yaw_rate
 
 
-def _first(sources: Mapping[str, object], name: str) -> str:
+def _first_source(sources: Mapping[str, object], name: str) -> str:
     if not sources:
         raise InputError(f"{NODE}: {name}: none; accepted: one or more")
     return next(iter(sources))
 
 
-def _ns(t: float) -> int:
+def _to_ns(t: float) -> int:
     return round(t * 1e9)
 
 
@@ -223,7 +223,7 @@ def _body_rates(at: Truth) -> FloatArray:
     return np.stack((at.roll_rate, at.pitch_rate, at.yaw_rate), axis=1)
 
 
-def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
+def _is_moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
     """(k,) whether machine (as in the scores of a replay) and both tracks move; else slips are undefined."""
     vehicle = estimator.vehicle.kinematics
     on_ground = np.abs(at.v_x) + np.abs(at.yaw_rate) * vehicle.tread / 2.0 > MIN_MOVING_SPEED

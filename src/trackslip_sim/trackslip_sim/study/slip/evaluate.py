@@ -14,12 +14,20 @@ from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.window import Window, copy_first_entry, make_like
 from trackslip_sim.study.slip.drive import Drive
-from trackslip_sim.study.slip.kernels import SLIPS, bound, compare, scratch, variances
+from trackslip_sim.study.slip.kernels import (
+    SLIPS,
+    cramer_rao_bound,
+    estimation_errors,
+    new_scratch,
+    output_variances,
+)
 from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParameters
-from trackslip_sim.study.slip.results import IGNORING, Row, Sums, summary, total
-from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, of_machine
+from trackslip_sim.study.slip.results import IGNORING_ATTITUDE, Row, Sums, sum_runs, summary
+from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, with_machine_noise
 
-_UNKNOWN = "unknown_source"  # source of fixes with default settings: their stamp error is unspecified
+_UNSPECIFIED_SOURCE = (
+    "unknown_source"  # source of fixes with default settings: their stamp error is unspecified
+)
 
 
 def evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
@@ -28,19 +36,21 @@ def evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstima
     if not cell.terrain:
         return row
     flat = _evaluate(cell, drive, p, estimator.changed({"use_attitude": False}))
-    found = {f"ignoring_{name}": getattr(flat, name) for name in IGNORING}
+    found = {f"ignoring_{name}": getattr(flat, name) for name in IGNORING_ATTITUDE}
     return replace(row, **found)
 
 
 def _evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
     setting = make_setting(cell, drive, p, estimator)
-    common = least(setting, make_trial(setting, 0)) if cell.truth == SHEAR else None  # all drive the same
+    common = (
+        least_variances(setting, make_trial(setting, 0)) if cell.truth == SHEAR else None
+    )  # all drive the same
 
-    def one(seed: int) -> Sums:
+    def score_seed(seed: int) -> Sums:
         trial = make_trial(setting, seed)
-        return score(setting, trial, least(setting, trial) if common is None else common)
+        return score(setting, trial, least_variances(setting, trial) if common is None else common)
 
-    return summary(cell, p, total(map(one, range(p.seeds))), drive)
+    return summary(cell, p, sum_runs(map(score_seed, range(p.seeds))), drive)
 
 
 def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Setting:
@@ -50,7 +60,7 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
         c["heading_ceiling"] = np.inf
         c["position_floor"] = c["heading_floor"] = 0.0
         if cell.truth == DRAWN:
-            c["stamp_errors"] = of_drawn(estimator).poses()[_UNKNOWN].stamp_error
+            c["stamp_errors"] = drawn_machine_parameters(estimator).poses()[_UNSPECIFIED_SOURCE].stamp_error
         else:  # the statistics given to the filters are exact
             c["gate_limits"], c["stamp_errors"] = np.inf, 0.0
         if drive.swings:  # fixes on a cab have no time-correlated error
@@ -59,23 +69,23 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 
 
-def of_drawn(estimator: SlipEstimatorParameters) -> SlipEstimatorParameters:
+def drawn_machine_parameters(estimator: SlipEstimatorParameters) -> SlipEstimatorParameters:
     """Estimator parameters for a drawn machine: its fixes come from an unspecified source."""
-    return estimator.changed({"pose_sources": (_UNKNOWN,)})
+    return estimator.changed({"pose_sources": (_UNSPECIFIED_SOURCE,)})
 
 
 def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
     """Filter and score one run; ``bounds`` (s, 7) are its least variances."""
     drive, scored = setting.drive, setting.drive.scored
-    window = _filtered(setting, trial)
+    window = _run_filter(setting, trial)
     states, nis_of = window.best[1 : window.count], window.updates["nis"][1 : window.count]
-    errors, nees = compare(scored, states, trial.states, trial.slips, scratch(), setting.linear)
+    errors, nees = estimation_errors(scored, states, trial.states, trial.slips, new_scratch(), setting.linear)
     settled = np.arange(len(nis_of)) >= scored[0]
-    nis = np.array([nis_of[settled & kind].mean() for kind in (drive.fixes, drive.rates)])
+    nis = np.array([nis_of[settled & kind].mean() for kind in (drive.is_fix, drive.is_rate)])
     return Sums(np.square(errors), bounds, nees, nis)
 
 
-def _filtered(setting: Setting, trial: Trial) -> Window:
+def _run_filter(setting: Setting, trial: Trial) -> Window:
     """The filtered states of a run, after its start."""
     drive = setting.drive
     begin = make_like(drive.begin, 2)
@@ -84,12 +94,12 @@ def _filtered(setting: Setting, trial: Trial) -> Window:
     return run_in_one_block(trial.rows.measurements, begin, setting.config)
 
 
-def least(setting: Setting, trial: Trial) -> FloatArray:
+def least_variances(setting: Setting, trial: Trial) -> FloatArray:
     """(s, 7) least variances by the posterior Cramér–Rao bound."""
     drive, linear = setting.drive, setting.linear
-    rows, true = of_machine(trial.rows, trial.machine, linear)
-    covariances = bound(rows, trial.states, trial.start_state, trial.spread, true)
-    return variances(drive.scored, trial.states, covariances, trial.rows.drives, scratch(), linear)
+    rows, true = with_machine_noise(trial.rows, trial.machine, linear)
+    covariances = cramer_rao_bound(rows, trial.states, trial.start_state, trial.spread, true)
+    return output_variances(drive.scored, trial.states, covariances, trial.rows.drives, new_scratch(), linear)
 
 
 class Trace(NamedTuple):
@@ -106,11 +116,13 @@ class Trace(NamedTuple):
 def trace(setting: Setting, seed: int) -> Trace:
     """One run of a cell for a figure."""
     trial, drive = make_trial(setting, seed), setting.drive
-    window = _filtered(setting, trial)
+    window = _run_filter(setting, trial)
     states = window.best[1 : window.count]
-    errors, _ = compare(drive.samples, states, trial.states, trial.slips, scratch(), setting.linear)
+    errors, _ = estimation_errors(
+        drive.samples, states, trial.states, trial.slips, new_scratch(), setting.linear
+    )
     found = states["mean"], states["covariance"]
-    deviations = np.sqrt(variances(drive.samples, *found, states, scratch(), setting.linear))
+    deviations = np.sqrt(output_variances(drive.samples, *found, states, new_scratch(), setting.linear))
     t, poses, slips = (
         drive.truth.t[drive.samples],
         trial.states[drive.samples, POSE],

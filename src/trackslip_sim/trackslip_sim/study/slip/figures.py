@@ -15,8 +15,8 @@ from matplotlib.ticker import NullLocator
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_sim.study.engine import words
-from trackslip_sim.study.plots import BAND, COLOURS, STYLE, save
+from trackslip_sim.study.engine import spaced_name
+from trackslip_sim.study.plots import BAND, COLOURS, STYLE, save_figure
 from trackslip_sim.study.slip.drive import make_drive
 from trackslip_sim.study.slip.evaluate import Trace, make_setting, trace
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
@@ -39,18 +39,18 @@ _EVERY = 10  # samples per plotted point of an estimate
 _RMSE = {"position": (1e3, "position (mm)"), "slip": (100.0, "slip (%)")}  # name → scale, label
 _NEES = {"nees_pose": (1.0, "NEES of the pose"), "nees_slip": (1.0, "NEES of the slips")}
 _RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-_ON_TERRAIN = {  # name → divisor, label
+_TERRAIN_RATIOS = {  # name → divisor, label
     "position_rmse": ("position_bound", "position ÷ bound"),
     "turning_slip_rmse": ("turning_slip_bound", "slip in turns ÷ bound"),
     "nees_pose": ("", "NEES of the pose ÷ 3"),
 }
 
 
-def runs(p: StudyParameters, estimator: SlipEstimatorParameters) -> Iterator[tuple[str, Figure]]:
+def run_figures(p: StudyParameters, estimator: SlipEstimatorParameters) -> Iterator[tuple[str, Figure]]:
     """One run under each of the thesis' conditions on each soil, on the shear truth."""
     drives = {soil: make_drive(p, estimator, soil) for soil in p.soils}
     for name, (filter_, sigma_xy, sigma_omega, numbers) in CONDITIONS.items():
-        figure, axes = _grid(3, len(drives))
+        figure, axes = _panel_grid(3, len(drives))
         for column, (soil, drive) in enumerate(drives.items()):
             cell = Cell(SHEAR, soil, filter_, sigma_xy, sigma_omega)
             found = trace(make_setting(cell, drive, p, estimator), seed=0)
@@ -64,51 +64,51 @@ def runs(p: StudyParameters, estimator: SlipEstimatorParameters) -> Iterator[tup
         yield name, figure
 
 
-def write_slopes(rows: Sequence[Row], folder: Path) -> None:
-    """``on_terrain`` as a PNG file."""
+def write_terrain_figure(rows: Sequence[Row], folder: Path) -> None:
+    """``terrain_figure`` as a PNG file."""
     with style.context(dict(STYLE)):
-        save(on_terrain(rows), folder / "study_slopes.png")
+        save_figure(terrain_figure(rows), folder / "study_slopes.png")
 
 
-def on_terrain(rows: Sequence[Row]) -> Figure:
+def terrain_figure(rows: Sequence[Row]) -> Figure:
     """Errors over their bounds, and NEES over 3, on each terrain; hollow: the filter without attitude.
 
     One column of panels per soil. A consistent filter at its bound has 1 everywhere.
     """
     soils = list(dict.fromkeys(row.soil for row in rows))
     terrains = list(dict.fromkeys(row.terrain for row in rows))
-    figure, axes = _grid(len(_ON_TERRAIN), len(soils), sharey="row")
+    figure, axes = _panel_grid(len(_TERRAIN_RATIOS), len(soils), sharey="row")
     for column, soil in enumerate(soils):
-        for panels, (name, (least, text)) in zip(axes, _ON_TERRAIN.items(), strict=True):
+        for panels, (name, (least, text)) in zip(axes, _TERRAIN_RATIOS.items(), strict=True):
             _draw_terrains(panels[column], [row for row in rows if row.soil == soil], terrains, (name, least))
             panels[column].set(yscale="log", ylabel=text)
             panels[column].set_yticks(_RATIOS, [f"{ratio:g}" for ratio in _RATIOS])
             panels[column].yaxis.set_minor_locator(NullLocator())
             panels[column].label_outer()
-        axes[0][column].set_title(words(soil))
+        axes[0][column].set_title(spaced_name(soil))
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=8)
     figure.suptitle("On terrain, beside the bound; hollow: taking the ground for flat", x=0.01, ha="left")
     return figure
 
 
 def write_monte_carlo(rows: Sequence[Row], folder: Path) -> None:
-    """All of ``monte_carlo`` as PNG files."""
+    """All of ``monte_carlo_figures`` as PNG files."""
     with style.context(dict(STYLE)):
-        for name, figure in monte_carlo(rows):
-            save(figure, folder / f"{name}.png")
+        for name, figure in monte_carlo_figures(rows):
+            save_figure(figure, folder / f"{name}.png")
 
 
-def monte_carlo(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+def monte_carlo_figures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
     """Errors and NEES over σ_xy beside their bounds, one pair of figures per truth."""
     for truth in dict.fromkeys(row.truth for row in rows):
         chosen = [row for row in rows if row.truth == truth]
         title = f"RMSE on the {truth} truth; dotted: the posterior Cramér–Rao bound"
-        yield f"study_rmse_{truth}", _over_sigma(chosen, title, _RMSE, _draw_rmse)
+        yield f"study_rmse_{truth}", _figure_over_sigma(chosen, title, _RMSE, _draw_rmse)
         title = f"NEES on the {truth} truth; tinted: 95 % of the means of {chosen[0].seeds} consistent runs"
-        yield f"study_nees_{truth}", _over_sigma(chosen, title, _NEES, _draw_nees)
+        yield f"study_nees_{truth}", _figure_over_sigma(chosen, title, _NEES, _draw_nees)
 
 
-def _grid(
+def _panel_grid(
     rows: int, columns: int, sharey: Literal["none", "row"] = "none"
 ) -> tuple[Figure, list[list[Axes]]]:
     figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows))
@@ -151,7 +151,7 @@ def _draw_settling(axes: Axes, settling: float, unit: str) -> None:
     axes.set(xlabel="time (s)", ylabel=unit)
 
 
-def _over_sigma(
+def _figure_over_sigma(
     rows: Sequence[Row],
     title: str,
     quantities: Mapping[str, tuple[float, str]],
@@ -159,7 +159,7 @@ def _over_sigma(
 ) -> Figure:
     """A figure with one column of panels per soil and one row per quantity."""
     soils = list(dict.fromkeys(row.soil for row in rows))
-    figure, axes = _grid(len(quantities), len(soils))
+    figure, axes = _panel_grid(len(quantities), len(soils))
     for column, soil in enumerate(soils):
         for panels, (name, (scale, unit)) in zip(axes, quantities.items(), strict=True):
             panels[column].set(xscale="log", xlabel="σ_xy (mm)", ylabel=unit)
@@ -182,7 +182,7 @@ def _draw_terrains(
         chosen = [row for row in rows if row.sigma_xy == sigma]
         where = [terrains.index(row.terrain) for row in chosen]
         for which, fill in (("", colour), ("ignoring_", "none")):
-            values = _numbers(chosen, which + name) / (_numbers(chosen, least) if least else 3.0)
+            values = _column_values(chosen, which + name) / (_column_values(chosen, least) if least else 3.0)
             look = {
                 "markerfacecolor": fill,
                 "color": colour,
@@ -191,11 +191,11 @@ def _draw_terrains(
                 "linewidth": 0.0,
             }
             axes.plot(where, values, label=None if which else f"σ_xy = {1e3 * sigma:g} mm", **look)
-    axes.set_xticks(range(len(terrains)), [words(name) for name in terrains], rotation=45, ha="right")
+    axes.set_xticks(range(len(terrains)), [spaced_name(name) for name in terrains], rotation=45, ha="right")
     axes.xaxis.set_minor_locator(NullLocator())
 
 
-def _numbers(rows: Sequence[Row], name: str) -> FloatArray:
+def _column_values(rows: Sequence[Row], name: str) -> FloatArray:
     """(n,) a column of the rows; NaN where nothing moved."""
     return np.array([getattr(row, name) for row in rows], np.float64)
 

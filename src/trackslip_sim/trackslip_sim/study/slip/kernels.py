@@ -41,7 +41,7 @@ from trackslip_estimation.slip.update import observe
 RecordArray = NDArray[np.void]
 
 ERRORS = 7  # x, y, φ, i_L, i_R, α, σ
-SLIPS, ON_CAB = slice(3, 6), 6  # of these
+SLIPS, SWING_COLUMN = slice(3, 6), 6  # of these
 _ITERATIONS = 3  # the turning model is linear, the others nearly so
 
 
@@ -59,13 +59,13 @@ class Scratch(NamedTuple):
     estimate: RecordArray  # (1,) of ``ESTIMATE``
 
 
-def scratch() -> Scratch:
+def new_scratch() -> Scratch:
     """New work space; each thread needs its own."""
     return Scratch(np.zeros(1, STATE), np.zeros(1, ESTIMATE))
 
 
 @compiled
-def lie(drives: RecordArray, tilts: FloatArray, rates: FloatArray) -> None:
+def set_attitude(drives: RecordArray, tilts: FloatArray, rates: FloatArray) -> None:
     """Set the attitude of the drives (k,) to known roll and pitch (k, 2) and rates p, q, r (k, 3)."""
     for k in range(drives.size):
         a = drives[k].attitude
@@ -76,7 +76,7 @@ def lie(drives: RecordArray, tilts: FloatArray, rates: FloatArray) -> None:
 
 
 @compiled
-def bound(
+def cramer_rao_bound(
     rows: Rows, states: FloatArray, start: FloatArray, P: FloatArray, config: RecordArray
 ) -> FloatArray:
     """J⁻¹ after each row (k, n, n): J_k = (F J⁻¹ Fᵀ + Q)⁻¹ + Hᵀ R⁻¹ H, linearised at the truth.
@@ -104,7 +104,7 @@ def bound(
 
 
 @compiled
-def draw(
+def draw_from_model(
     rows: Rows, x: FloatArray, normals: FloatArray, config: RecordArray
 ) -> tuple[FloatArray, FloatArray]:
     """A truth drawn from the filter's own model: states (k, n) with Q, measurements (k, 3) with R.
@@ -133,7 +133,7 @@ def draw(
 
 
 @compiled
-def nearest(
+def nearest_states(
     poses: FloatArray,
     twists: FloatArray,
     speeds: FloatArray,
@@ -174,7 +174,7 @@ def slips_of(states: FloatArray, drives: RecordArray, config: RecordArray) -> Fl
 
 
 @compiled
-def variances(
+def output_variances(
     entries: IntArray,
     states: FloatArray,
     covariances: FloatArray,
@@ -195,12 +195,12 @@ def variances(
         fill_outputs(state, c, estimate)
         for j in range(3):
             found[i, j], found[i, 3 + j] = covariances[k, j, j], estimate.slip_covariance[j, j]
-        found[i, ON_CAB] = covariances[k, SWING, SWING] if c.swings else np.nan
+        found[i, SWING_COLUMN] = covariances[k, SWING, SWING] if c.swings else np.nan
     return found
 
 
 @compiled
-def compare(
+def estimation_errors(
     entries: IntArray,
     filtered: RecordArray,
     states: FloatArray,
@@ -220,7 +220,7 @@ def compare(
         errors[i, :3] = filtered[k].mean[:3] - states[k, :3]
         errors[i, YAW] = wrap(errors[i, YAW])
         errors[i, SLIPS] = estimate.slips - slips_[k]
-        errors[i, ON_CAB] = wrap(filtered[k].mean[SWING] - states[k, SWING]) if c.swings else np.nan
+        errors[i, SWING_COLUMN] = wrap(filtered[k].mean[SWING] - states[k, SWING]) if c.swings else np.nan
         nees[i, 0] = weighted_square(root(filtered[k].covariance[:3, :3].copy()), errors[i, :3])
         nees[i, 1] = weighted_square(root(estimate.slip_covariance[:2, :2].copy()), errors[i, 3:5])
     return errors, nees

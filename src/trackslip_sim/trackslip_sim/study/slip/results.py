@@ -25,7 +25,7 @@ from trackslip_sim.study.slip.parameters import Cell, StudyParameters
 Interval = tuple[float, float]
 
 CONFIDENCE = 0.95
-IGNORING = ("position_rmse", "turning_slip_rmse", "nees_pose")
+IGNORING_ATTITUDE = ("position_rmse", "turning_slip_rmse", "nees_pose")
 _POSITION, _HEADING, _SLIPS, _ALPHA = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
 _SWING = slice(6, 7)
 
@@ -79,7 +79,7 @@ class Sums(NamedTuple):
     nis: FloatArray  # (2,) pose, yaw rate; means over time
 
 
-def total(runs: Iterable[Sums]) -> Sums:
+def sum_runs(runs: Iterable[Sums]) -> Sums:
     """The sum over one or more runs."""
     return reduce(lambda a, b: Sums(*map(add, a, b)), runs)
 

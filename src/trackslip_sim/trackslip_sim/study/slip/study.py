@@ -18,10 +18,10 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 from trackslip_sim import machine
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.engine import NOTHING, Columns, Study, Workers, spread, table, words
+from trackslip_sim.study.engine import NO_VALUE, Columns, Study, Workers, map_pieces, spaced_name, table_lines
 from trackslip_sim.study.slip import kernels
 from trackslip_sim.study.slip.drive import Drive, make_drive
-from trackslip_sim.study.slip.evaluate import evaluate, of_drawn
+from trackslip_sim.study.slip.evaluate import drawn_machine_parameters, evaluate
 from trackslip_sim.study.slip.parameters import (
     NODE,
     SHEAR,
@@ -36,57 +36,57 @@ from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_set
 
 _GRID = ("truths", "soils", "terrains", "filters", "sigma_xy", "sigma_omega")  # factors of the grid
-_SLOPES = "slope_table.md"
-_KEPT = 4  # drives in memory, some 60 MB each
+_TERRAIN_FILE = "slope_table.md"
+_MAX_DRIVES = 4  # drives in memory, some 60 MB each
 _LEGEND = (
     "RMSE and, in brackets, the posterior Cramér–Rao bound. NEES and NIS: means over runs and scored time, "
     "with ↑ above and ↓ below the bounds {bounds} numbers (95 % of χ² for the mean of {seeds} runs)."
 )
 
 
-def _error(name: str, scale: float, digits: int = 2) -> Callable[[Row], str]:
+def _error_column(name: str, scale: float, digits: int = 2) -> Callable[[Row], str]:
     def show(row: Row) -> str:
         rmse, bound = (scale * getattr(row, f"{name}_{what}") for what in ("rmse", "bound"))
-        return NOTHING if math.isnan(rmse) else f"{rmse:.{digits}f} ({bound:.{digits}f})"
+        return NO_VALUE if math.isnan(rmse) else f"{rmse:.{digits}f} ({bound:.{digits}f})"
 
     return show
 
 
-def _within(name: str) -> Callable[[Row], str]:
+def _consistency_column(name: str) -> Callable[[Row], str]:
     def show(row: Row) -> str:
         value, (low, high) = getattr(row, name), getattr(row, f"{name}_bounds")
         if math.isnan(value):
-            return NOTHING
+            return NO_VALUE
         return f"{value:.2f}" + (" ↑" if value > high else " ↓" if value < low else "")
 
     return show
 
 
-def _ratio(name: str, of: str = "") -> Callable[[Row], str]:
+def _ratio_column(name: str, prefix: str = "") -> Callable[[Row], str]:
     """Column with the ratio of an error to its bound."""
 
     def show(row: Row) -> str:
         least = getattr(row, name.removesuffix("rmse") + "bound")
-        return NOTHING if math.isnan(least) else f"{getattr(row, of + name) / least:.2f}"
+        return NO_VALUE if math.isnan(least) else f"{getattr(row, prefix + name) / least:.2f}"
 
     return show
 
 
 _COLUMNS: Columns = {
     "truth": lambda row: str(row.truth),
-    "soil": lambda row: words(row.soil),
+    "soil": lambda row: spaced_name(row.soil),
     "filter": lambda row: str(row.filter),
     "σ_xy m": lambda row: f"{row.sigma_xy:g}",
     "σ_ω rad/s": lambda row: f"{row.sigma_omega:g}",
-    "position mm": _error("position", 1e3),
-    "heading mrad": _error("heading", 1e3),
-    "slip %": _error("slip", 1e2),
-    "in turns %": _error("turning_slip", 1e2),
-    "α mrad": _error("alpha", 1e3, digits=1),
-    "NEES pose": _within("nees_pose"),
-    "NEES slips": _within("nees_slip"),
-    "NIS pose": _within("nis_pose"),
-    "NIS yaw rate": _within("nis_yaw_rate"),
+    "position mm": _error_column("position", 1e3),
+    "heading mrad": _error_column("heading", 1e3),
+    "slip %": _error_column("slip", 1e2),
+    "in turns %": _error_column("turning_slip", 1e2),
+    "α mrad": _error_column("alpha", 1e3, digits=1),
+    "NEES pose": _consistency_column("nees_pose"),
+    "NEES slips": _consistency_column("nees_slip"),
+    "NIS pose": _consistency_column("nis_pose"),
+    "NIS yaw rate": _consistency_column("nis_yaw_rate"),
 }
 
 
@@ -96,22 +96,22 @@ def _columns(rows: Sequence[Row]) -> Columns:
         return _COLUMNS
     columns = list(_COLUMNS.items())
     after = list(_COLUMNS).index("heading mrad") + 1
-    return dict([*columns[:after], ("swing mrad", _error("swing", 1e3)), *columns[after:]])
+    return dict([*columns[:after], ("swing mrad", _error_column("swing", 1e3)), *columns[after:]])
 
 
-_ON_TERRAIN: Columns = {
-    "terrain": lambda row: words(row.terrain),
+_TERRAIN_COLUMNS: Columns = {
+    "terrain": lambda row: spaced_name(row.terrain),
     "truth": lambda row: str(row.truth),
-    "soil": lambda row: words(row.soil),
+    "soil": lambda row: spaced_name(row.soil),
     "filter": lambda row: str(row.filter),
     "σ_xy m": lambda row: f"{row.sigma_xy:g}",
-    "position mm": _error("position", 1e3),
-    "×": _ratio("position_rmse"),
-    "slip in turns %": _error("turning_slip", 1e2),
-    "× ": _ratio("turning_slip_rmse"),
-    "NEES pose": _within("nees_pose"),
-    "flat: position ×": _ratio("position_rmse", "ignoring_"),
-    "in turns ×": _ratio("turning_slip_rmse", "ignoring_"),
+    "position mm": _error_column("position", 1e3),
+    "×": _ratio_column("position_rmse"),
+    "slip in turns %": _error_column("turning_slip", 1e2),
+    "× ": _ratio_column("turning_slip_rmse"),
+    "NEES pose": _consistency_column("nees_pose"),
+    "flat: position ×": _ratio_column("position_rmse", "ignoring_"),
+    "in turns ×": _ratio_column("turning_slip_rmse", "ignoring_"),
     "NEES": lambda row: f"{row.ignoring_nees_pose:.1f}",
 }
 _TERRAIN_LEGEND = (
@@ -120,28 +120,30 @@ _TERRAIN_LEGEND = (
 )
 
 
-class _Drives:
-    """Cache of the drives that cells share; each process keeps the last ``_KEPT``."""
+class _DriveCache:
+    """Cache of the drives that cells share; each process keeps the last ``_MAX_DRIVES``."""
 
     def __init__(self, p: StudyParameters, estimator: SlipEstimatorParameters) -> None:
         self.p, self.estimator = p, estimator
-        self._known: dict[tuple[str, str], Drive] = {}
+        self._drives: dict[tuple[str, str], Drive] = {}
 
-    def of(self, cell: Cell) -> Drive:
+    def drive_of(self, cell: Cell) -> Drive:
         """The drive of a cell; it is computed if not in the cache."""
         key = cell.soil, cell.terrain
-        if key not in self._known:
-            while len(self._known) >= _KEPT:
-                del self._known[next(iter(self._known))]
-            self._known[key] = make_drive(self.p, self.estimator, *key)
-        return self._known[key]
+        if key not in self._drives:
+            while len(self._drives) >= _MAX_DRIVES:
+                del self._drives[next(iter(self._drives))]
+            self._drives[key] = make_drive(self.p, self.estimator, *key)
+        return self._drives[key]
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the drives: each process computes those that it needs."""
-        return {**vars(self), "_known": {}}
+        return {**vars(self), "_drives": {}}
 
 
-def _above(p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool) -> StudyParameters:
+def _upper_sensor_parameters(
+    p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool
+) -> StudyParameters:
     """Parameters for sensors on the upper structure, shear truth only; ``chosen``: truths were requested."""
     topics = ", ".join(topic for topic, source in estimator.mountable_sources().items() if source.above)
     above = f"cells with {topics} above are on"
@@ -152,8 +154,8 @@ def _above(p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool)
     return replace(p, truths=(SHEAR,))
 
 
-def _evaluate(drives: _Drives, cell: Cell) -> Row:
-    return evaluate(cell, drives.of(cell), drives.p, drives.estimator)
+def _evaluate(drives: _DriveCache, cell: Cell) -> Row:
+    return evaluate(cell, drives.drive_of(cell), drives.p, drives.estimator)
 
 
 class SlipStudy(Study[Cell, Row]):
@@ -181,12 +183,12 @@ class SlipStudy(Study[Cell, Row]):
         self._p = load_study_parameters({**given, **scenario})
         self._estimator = load_slip_parameters(dict(map(parse_set, settings)))
         if self._estimator.swings:
-            self._p = _above(self._p, self._estimator, "truths" in given)
+            self._p = _upper_sensor_parameters(self._p, self._estimator, "truths" in given)
         self.cells = {cell: [cell] for cell in cells(self._p)}
         self._common = {
             "study": {name: value for name, value in to_flat(self._p).items() if name not in _GRID},
             "estimator": to_flat(self._estimator),
-            "drawn": to_flat(of_drawn(self._estimator)),
+            "drawn": to_flat(drawn_machine_parameters(self._estimator)),
             "truth": to_flat(load_settings()),
             "scenario": repr(load_scenario(self._p.scenario)),
         }
@@ -196,7 +198,7 @@ class SlipStudy(Study[Cell, Row]):
         return {**self._common, "soil": repr(load_soils().get(piece.soil)), "ground": terrain}
 
     def compute(self, pieces: Sequence[Cell], workers: Workers) -> Generator[Row, None, None]:
-        return spread(_evaluate, _Drives(self._p, self._estimator), pieces, workers)
+        return map_pieces(_evaluate, _DriveCache(self._p, self._estimator), pieces, workers)
 
     def row(self, cell: Cell, results: Sequence[Row]) -> Row:
         (row,) = results
@@ -208,16 +210,16 @@ class SlipStudy(Study[Cell, Row]):
         bounds = ", ".join(f"{low:.2f}–{high:.2f} for {dof}" for dof, (low, high) in intervals.items())
         legend = _LEGEND.format(bounds=bounds, seeds=row.seeds)
         level, sloping = ([r for r in rows if bool(r.terrain) == on_terrain] for on_terrain in (False, True))
-        lines = table(_columns(level), level, text_columns=3) if level else []
+        lines = table_lines(_columns(level), level, text_columns=3) if level else []
         if sloping:
-            lines += [*[""][: len(lines)], *table(_ON_TERRAIN, sloping, text_columns=4)]
+            lines += [*[""][: len(lines)], *table_lines(_TERRAIN_COLUMNS, sloping, text_columns=4)]
             legend = f"{legend} {_TERRAIN_LEGEND}"
         return "\n".join((*lines, "", legend)) + "\n"
 
     def files(self) -> tuple[str, ...]:
         """The table, and the figures in ``figures``."""
         if any(cell.terrain for cell in self.cells):
-            return _SLOPES, "figures/study_slopes.png"
+            return _TERRAIN_FILE, "figures/study_slopes.png"
         drawn = [f"study_{what}_{truth}" for truth in self._p.truths for what in ("rmse", "nees")]
         return self.FILE, *(f"figures/{name}.png" for name in drawn)
 
@@ -226,6 +228,6 @@ class SlipStudy(Study[Cell, Row]):
 
         super().write(rows, folder)
         if sloping := [row for row in rows if row.terrain]:
-            figures.write_slopes(sloping, folder / "figures")
+            figures.write_terrain_figure(sloping, folder / "figures")
         else:
             figures.write_monte_carlo(rows, folder / "figures")

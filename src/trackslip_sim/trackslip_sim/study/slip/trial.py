@@ -24,16 +24,16 @@ from trackslip_sim.machine.drawn import (
     DrawnMachine,
     MotionErrors,
     draw_machine,
-    integrated,
-    interpolated,
+    integrate_twists,
+    interpolate_columns,
     uniform_variance,
 )
 from trackslip_sim.machine.sensors import tilt_readings
 from trackslip_sim.study.slip.drive import Drive, fix_deviations
-from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw, nearest, slips_of
+from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw_from_model, nearest_states, slips_of
 from trackslip_sim.study.slip.parameters import DRAWN, MATCHED, SHEAR, Cell
 
-_DRAWN = 19  # leading states with drawn noise; a study does not use the states after them
+_DRAWN_STATES = 19  # leading states with drawn noise; a study does not use the states after them
 
 
 class Setting(NamedTuple):
@@ -59,79 +59,83 @@ class Trial(NamedTuple):
     machine: DrawnMachine = DrawnMachine()
 
 
-def generator(cell: Cell, seed: int) -> np.random.Generator:
+def run_generator(cell: Cell, seed: int) -> np.random.Generator:
     """Random generator of a run: equal for all filters and σ, different for each truth and soil."""
     return np.random.default_rng((seed, zlib.crc32(f"{cell.truth} {cell.soil}".encode())))
 
 
 def make_trial(setting: Setting, seed: int) -> Trial:
     """Draw one run."""
-    random = generator(setting.cell, seed)
-    trial = {MATCHED: _matched, SHEAR: _shear, DRAWN: _drawn}[setting.cell.truth](setting, random)
+    random = run_generator(setting.cell, seed)
+    trial = {MATCHED: _matched_trial, SHEAR: _shear_trial, DRAWN: _drawn_trial}[setting.cell.truth](
+        setting, random
+    )
     if setting.cell.terrain:
-        _feel_tilt(setting, trial.rows.measurements, random)
+        _write_tilt_readings(setting, trial.rows.measurements, random)
     return trial
 
 
-def _feel_tilt(setting: Setting, measurements: RecordArray, random: np.random.Generator) -> None:
+def _write_tilt_readings(setting: Setting, measurements: RecordArray, random: np.random.Generator) -> None:
     """Write roll rate, pitch rate and specific force into the (k,) measurements of a run."""
     drive = setting.drive
-    noise, rates = replace(drive.noise, gyro_stddev=setting.cell.sigma_omega), drive.rates
-    readings = tilt_readings(drive.whole, drive.truth.t[rates], noise, random)
+    noise, rates = replace(drive.noise, gyro_stddev=setting.cell.sigma_omega), drive.is_rate
+    readings = tilt_readings(drive.full_truth, drive.truth.t[rates], noise, random)
     measurements["value"][rates, 1:] = readings[:, :2]
     measurements["acceleration"][rates] = readings[:, 2:]
     measurements["acceleration_variance"][rates] = noise.acceleration_stddev**2
 
 
-def _matched(setting: Setting, random: np.random.Generator) -> Trial:
+def _matched_trial(setting: Setting, random: np.random.Generator) -> Trial:
     """A run whose truth is the filter's model: start drawn from its covariance, noise from its Q and R."""
     rows, true_drives = setting.rows, setting.drive.true_drives
-    mean, covariance = start = _start(setting, np.zeros(3))
+    mean, covariance = start = _initial_estimate(setting, np.zeros(3))
     start_state = mean + root(covariance) @ _normals(random, 1, 0)[0]
     normals = _normals(random, len(rows.drives), 3)
     true_rows = Rows(rows.measurements, true_drives)
-    states, values = draw(true_rows, start_state, normals, setting.linear)
+    states, values = draw_from_model(true_rows, start_state, normals, setting.linear)
     slips = slips_of(states, true_drives, setting.linear)
     return Trial(_with_values(rows, values), start, start_state, covariance, states, slips)
 
 
 def _normals(random: np.random.Generator, count: int, more: int) -> FloatArray:
     """(count, SIZE + more) standard normal draws for states and measurements."""
-    drawn = random.standard_normal((count, _DRAWN + more))
+    drawn = random.standard_normal((count, _DRAWN_STATES + more))
     found = np.zeros((count, SIZE + more))
-    found[:, :_DRAWN], found[:, SIZE:] = drawn[:, :_DRAWN], drawn[:, _DRAWN:]
+    found[:, :_DRAWN_STATES], found[:, SIZE:] = drawn[:, :_DRAWN_STATES], drawn[:, _DRAWN_STATES:]
     return found
 
 
-def _shear(setting: Setting, random: np.random.Generator) -> Trial:
+def _shear_trial(setting: Setting, random: np.random.Generator) -> Trial:
     """A run on the shear truth, which is independent of the model; initial errors follow the prior.
 
     These are the errors of the gyro bias, and of the swing angle of a cab without encoder.
     """
     drive = setting.drive
-    at, fixes, rates = drive.truth, drive.fixes, drive.rates
+    at, fixes, rates = drive.truth, drive.is_fix, drive.is_rate
     poses = np.stack((at.x, at.y, at.yaw), axis=1)
     deviations = fix_deviations(setting.cell, setting.sigma_heading)
-    begins_at = drive.begins_at + deviations * random.standard_normal(3)
-    mean, covariance = prior = _start(setting, drive.begins_at)
+    start_fix = drive.start_sensor_pose + deviations * random.standard_normal(3)
+    mean, covariance = prior = _initial_estimate(setting, drive.start_sensor_pose)
     mean[OF_POSE] = 0.0  # at the origin
     mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
     values = np.zeros((len(poses), 3))
-    values[fixes] = drive.seen[fixes] + deviations * random.standard_normal((np.count_nonzero(fixes), 3))
+    values[fixes] = drive.sensor_poses[fixes] + deviations * random.standard_normal(
+        (np.count_nonzero(fixes), 3)
+    )
     noise = setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
-    values[rates, 0] = drive.shown_rate[rates] + mean[GYRO_BIAS] + noise
+    values[rates, 0] = drive.gyro_rate[rates] + mean[GYRO_BIAS] + noise
     twists = np.stack((at.v_x, at.yaw_rate), axis=1)
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
-    states = nearest(poses, twists, true_speeds, drive.true_drives, prior, setting.linear)
-    off = 0.0  # rad, initial error of the swing angle
+    states = nearest_states(poses, twists, true_speeds, drive.true_drives, prior, setting.linear)
+    swing_error = 0.0  # rad, initial error of the swing angle
     if drive.swings:
-        off = _swing(setting, mean, states, values, random)
-    start = _start(setting, begins_at, off)
+        swing_error = _write_swing(setting, mean, states, values, random)
+    start = _initial_estimate(setting, start_fix, swing_error)
     slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
     return Trial(_with_values(setting.rows, values), start, mean, covariance, states, slips)
 
 
-def _swing(
+def _write_swing(
     setting: Setting, start: FloatArray, states: FloatArray, values: FloatArray, random: np.random.Generator
 ) -> float:
     """Write the true swing into ``start`` (n,) and ``states`` (k, n), encoder angles into ``values`` (k, 3).
@@ -139,35 +143,40 @@ def _swing(
     Returns the initial error of the filter's σ, rad: 0 with an encoder.
     """
     drive, c = setting.drive, setting.linear[0]
-    at, shown = drive.truth, drive.angles
-    start[SWING] = drive.whole.swing[0]
+    at, is_angle = drive.truth, drive.is_angle
+    start[SWING] = drive.full_truth.swing[0]
     states[:, SWING], states[:, SWING_RATE] = at.swing, at.swing_rate
     states[:, ROTATION_OFFSET] += c["swing"]["balance"] * (np.cos(at.swing) - np.cos(start[SWING]))
-    source, noise = setting.rows.measurements["source"][shown], setting.rows.measurements["noise"][shown]
+    source, noise = (
+        setting.rows.measurements["source"][is_angle],
+        setting.rows.measurements["noise"][is_angle],
+    )
     offset = c["heading_offset"][source]
-    values[shown, 0] = at.swing[shown] + offset + np.sqrt(noise[:, 0, 0]) * random.standard_normal(len(noise))
-    return 0.0 if shown.any() else math.sqrt(c["prior_variance"][SWING]) * random.standard_normal()
+    values[is_angle, 0] = (
+        at.swing[is_angle] + offset + np.sqrt(noise[:, 0, 0]) * random.standard_normal(len(noise))
+    )
+    return 0.0 if is_angle.any() else math.sqrt(c["prior_variance"][SWING]) * random.standard_normal()
 
 
-def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
+def _drawn_trial(setting: Setting, random: np.random.Generator) -> Trial:
     """A run of a drawn machine on the shear truth; the estimator has the nominal parameters.
 
     Slips refer to the nominal rolling radius: an error of the radius is not observable apart from slip.
     """
     drive, machine, c = setting.drive, draw_machine(random), setting.config[0]
-    whole, at, fixes, rates = drive.whole, drive.truth, drive.fixes, drive.rates
+    whole, at, fixes, rates = drive.full_truth, drive.truth, drive.is_fix, drive.is_rate
     r, B, period = c["rolling_radius"], c["tread"], float(whole.t[1])
     errors = MotionErrors(machine, B, period, random)
     twists = errors.apply(
         r * np.stack((whole.left_speed, whole.right_speed), axis=1),
         np.stack((whole.v_x, whole.v_y, whole.yaw_rate), axis=1),
     )
-    poses = np.concatenate((np.zeros((1, 3)), integrated(twists[1:], period, np.zeros(3))))
+    poses = np.concatenate((np.zeros((1, 3)), integrate_twists(twists[1:], period, np.zeros(3))))
     delay = machine.fix_delay
-    at_rows, moving = interpolated(at.t, whole.t, poses), interpolated(at.t, whole.t, twists)
+    at_rows, moving = interpolate_columns(at.t, whole.t, poses), interpolate_columns(at.t, whole.t, twists)
     deviations = fix_deviations(setting.cell, setting.sigma_heading) * np.sqrt(machine.fix_variance)
-    start = _start(setting, deviations * random.standard_normal(3))
-    mean, covariance = prior = _start(setting, np.zeros(3))
+    start = _initial_estimate(setting, deviations * random.standard_normal(3))
+    mean, covariance = prior = _initial_estimate(setting, np.zeros(3))
     mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
     stamp_error, spread = c["stamp_errors"].max(), covariance.copy()
     mean[GYRO_SCALE], mean[FIX_DELAY] = machine.gyro_scale - 1.0, delay / stamp_error
@@ -177,18 +186,20 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
         mean[ASYMMETRY] = machine.asymmetry
         spread[ASYMMETRY, ASYMMETRY] = uniform_variance(drawn.ASYMMETRY)
     values, of_fixes = np.zeros((len(at_rows), 3)), at.t[fixes] - delay
-    values[fixes] = interpolated(of_fixes, whole.t, poses)
+    values[fixes] = interpolate_columns(of_fixes, whole.t, poses)
     values[fixes] += deviations * random.standard_normal((len(of_fixes), 3))
     noise = machine.gyro_noise * setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
     values[rates, 0] = machine.gyro_scale * moving[rates, 2] + mean[GYRO_BIAS] + noise
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
-    states = nearest(at_rows, moving[:, ::2].copy(), true_speeds, drive.true_drives, prior, setting.linear)
+    states = nearest_states(
+        at_rows, moving[:, ::2].copy(), true_speeds, drive.true_drives, prior, setting.linear
+    )
     slips = slips_of(states, drive.true_drives, setting.linear)
     slips[:, 2] = at.slip_angle
     return Trial(_with_values(setting.rows, values), start, mean, spread, states, slips, machine)
 
 
-def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple[Rows, ConfigRecord]:
+def with_machine_noise(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple[Rows, ConfigRecord]:
     """Rows and model parameters with the true noise of a machine, for the bound."""
     measurements, true = rows.measurements.copy(), config.copy()
     noise, kind = measurements["noise"], measurements["kind"]
@@ -199,7 +210,9 @@ def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple
     return rows._replace(measurements=measurements), true
 
 
-def _start(setting: Setting, pose: FloatArray, swing_error: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def _initial_estimate(
+    setting: Setting, pose: FloatArray, swing_error: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
     """Initial mean (n,) and covariance (n, n) of a filter at a fix, with an error of the swing, rad."""
     c = setting.config[0]
     mean, covariance = c["prior_mean"].copy(), c["prior_covariance"].copy()

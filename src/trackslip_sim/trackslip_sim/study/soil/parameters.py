@@ -61,7 +61,7 @@ def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
         scenario = load_scenario(name)
         soils = (scenario.soil,) if scenario.patches else p.soils
         for base in soils:
-            _check(base, scenario)
+            _check_ground(base, scenario)
         for terrain in p.terrains:
             if terrain:
                 load_terrain(terrain)
@@ -69,6 +69,6 @@ def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
                 yield SoilCell(name, *combination, terrain)
 
 
-def _check(base: str, scenario: Scenario) -> None:
+def _check_ground(base: str, scenario: Scenario) -> None:
     """Raise ``InputError`` before the first run for a ground that the truth would refuse."""
     build_ground(soil(base), scenario.patches, load_soils())

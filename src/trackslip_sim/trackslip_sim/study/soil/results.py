@@ -71,22 +71,22 @@ AnyRow: TypeAlias = SoilRow | ChangeRow
 
 def summary(cell: SoilCell, results: Sequence[Result]) -> AnyRow:
     """The row of a cell: a ``ChangeRow`` if a border was crossed, else a ``SoilRow``."""
-    return _change(cell, results) if any(r.into for r in results) else _soil(cell, results)
+    return _change_row(cell, results) if any(r.into for r in results) else _soil_row(cell, results)
 
 
-def _soil(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
+def _soil_row(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
     values: dict[str, Any] = {**asdict(cell), "seeds": len(results)}
     for name, of in (("F_max", "limit"), ("K", "modulus"), ("mu_r", "mu_r")):
         ratios = [abs(getattr(r, of) - 1.0) for r in results]  # relative to the truth
-        values[f"{name}_error"], values[f"{name}_worst"] = _spread(ratios)
-        values[f"{name}_inside"] = _inside(getattr(r, f"{of}_interval") for r in results)
+        values[f"{name}_error"], values[f"{name}_worst"] = _median_and_worst(ratios)
+        values[f"{name}_inside"] = _count_inside(getattr(r, f"{of}_interval") for r in results)
     for name, of in (("M_r", "moment"), ("driving_thrust", "driving"), ("braking_thrust", "braking")):
         errors = [getattr(r, f"{of}_error") for r in results]
-        values[f"{name}_error"], values[f"{name}_worst"] = _spread(errors)
-    residue, worst = _spread(r.offset_residue for r in results)
+        values[f"{name}_error"], values[f"{name}_worst"] = _median_and_worst(errors)
+    residue, worst = _median_and_worst(r.offset_residue for r in results)
     return SoilRow(
         **values,
-        M_r_inside=_inside(r.moment_interval for r in results),
+        M_r_inside=_count_inside(r.moment_interval for r in results),
         K_ratio=float(np.median([r.modulus_interval[1] / r.modulus_interval[0] for r in results])),
         identifiable=sum(r.identifiable for r in results),
         class_probability=float(np.median([r.probability for r in results])),
@@ -95,9 +95,9 @@ def _soil(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
     )
 
 
-def _change(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
-    after, after_worst = _spread(r.recognised_after for r in results)
-    wrong, wrong_worst = _spread(r.wrong_before for r in results)
+def _change_row(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
+    after, after_worst = _median_and_worst(r.recognised_after for r in results)
+    wrong, wrong_worst = _median_and_worst(r.wrong_before for r in results)
     return ChangeRow(
         **asdict(cell),
         into=next(r.into for r in results if r.into),
@@ -110,12 +110,12 @@ def _change(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
     )
 
 
-def _spread(values: Iterable[float]) -> tuple[float, float]:
+def _median_and_worst(values: Iterable[float]) -> tuple[float, float]:
     """Median and maximum without nan; nan if all values are nan."""
     there = np.array([value for value in values if not np.isnan(value)])
     return (float(np.median(there)), float(there.max())) if there.size else (float("nan"), float("nan"))
 
 
-def _inside(intervals: Iterable[Interval]) -> int:
+def _count_inside(intervals: Iterable[Interval]) -> int:
     """How many intervals contain the truth, 1."""
     return sum(low <= 1.0 <= high for low, high in intervals)

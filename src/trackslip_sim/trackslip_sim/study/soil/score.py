@@ -29,10 +29,10 @@ from trackslip_sim.study.soil.trial import (
     Readings,
     Setting,
     Trial,
-    drive,
+    draw_readings,
+    estimator_outputs,
     load_setting,
-    outputs,
-    read,
+    simulate_trial,
 )
 from trackslip_sim.truth.record import Truth
 from trackslip_tools.replay.scoring import MIN_MOVING_SPEED
@@ -41,10 +41,10 @@ Interval = tuple[float, float]
 
 RECOGNISED = 0.8  # probability above which a class counts as recognised
 _NAN = float("nan")
-_TAIL = 1.645  # standard deviations that contain 90 % of a normal distribution
-_STEADY = 2.0  # s, minimum duration of a turn
-_UNEQUAL = 0.1  # of the faster track's speed: minimum difference of the tracks in a turn
-_CONSTANT = 0.05  # of the faster track's speed: maximum change of each track
+_NORMAL_QUANTILE = 1.645  # standard deviations that contain 90 % of a normal distribution
+_STEADY_TIME = 2.0  # s, minimum duration of a turn
+_MIN_DIFFERENCE = 0.1  # of the faster track's speed: minimum difference of the tracks in a turn
+_MAX_VARIATION = 0.05  # of the faster track's speed: maximum change of each track
 
 
 @dataclass(frozen=True)
@@ -73,25 +73,25 @@ class Result:
     wrong_before: float  # probability of all wrong classes at the border
 
 
-def run(trial: Trial, setting: Setting | None = None) -> Result:
+def run_trial(trial: Trial, setting: Setting | None = None) -> Result:
     """Simulate one trial, run the estimators, and compare them with the truth."""
     setting = setting or load_setting()
-    truth = drive(trial, setting=setting)
-    readings = read(trial, truth, setting)
-    published = list(outputs(readings, setting))
+    truth = simulate_trial(trial, setting=setting)
+    readings = draw_readings(trial, truth, setting)
+    published = list(estimator_outputs(readings, setting))
     states = [output for output in published if isinstance(output, SoilState)]
     forces = [output for output in published if isinstance(output, TrackForces)]
     vehicle = setting.soil.vehicle.whole()
     return Result(
-        **_strength(states[-1], truth, vehicle),
-        **_moment(states, truth, vehicle),
-        **_thrust(forces, truth, vehicle, trial.standstill),
+        **_strength_errors(states[-1], truth, vehicle),
+        **_moment_errors(states, truth, vehicle),
+        **_thrust_errors(forces, truth, vehicle, trial.standstill),
         offset_residue=_offset_residue(readings, setting, trial.standstill),
-        **change_of(states, truth),
+        **soil_change(states, truth),
     )
 
 
-def _strength(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
+def _strength_errors(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
     """Errors of the estimate at the end, against the soil under C."""
     ground, found = soil(truth.soil_name()), last.strength
     modulus, limit, mu_r = (
@@ -101,18 +101,18 @@ def _strength(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]
     )
     return {
         "limit": found.thrust_limit / limit,
-        "limit_interval": _over(found.thrust_limit_interval, limit),
+        "limit_interval": _relative_interval(found.thrust_limit_interval, limit),
         "modulus": found.shear_modulus / modulus,
-        "modulus_interval": _over(found.shear_modulus_interval, modulus),
+        "modulus_interval": _relative_interval(found.shear_modulus_interval, modulus),
         "identifiable": found.identifiable,
         "reason": found.reason,
         "probability": last.classes[ground.name],
         "mu_r": last.mu_r / mu_r,
-        "mu_r_interval": _over(_around(last.mu_r, last.mu_r_variance), mu_r),
+        "mu_r_interval": _relative_interval(_interval_of(last.mu_r, last.mu_r_variance), mu_r),
     }
 
 
-def _moment(states: Sequence[SoilState], truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
+def _moment_errors(states: Sequence[SoilState], truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
     times = _times(states)
     steady = np.flatnonzero(steady_turns(truth, times))
     if not steady.size:
@@ -121,12 +121,14 @@ def _moment(states: Sequence[SoilState], truth: Truth, vehicle: Vehicle) -> dict
     true = truth.interpolate(times[steady]).turning_moment / arm
     last = states[int(steady[-1])]
     return {
-        "moment_error": _relative(np.array([states[k].mu_l for k in steady.tolist()]), true),
-        "moment_interval": _over(_around(last.mu_l, last.mu_l_variance), float(true[-1])),
+        "moment_error": _relative_rms(np.array([states[k].mu_l for k in steady.tolist()]), true),
+        "moment_interval": _relative_interval(_interval_of(last.mu_l, last.mu_l_variance), float(true[-1])),
     }
 
 
-def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin: float) -> dict[str, Any]:
+def _thrust_errors(
+    forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin: float
+) -> dict[str, Any]:
     """Thrust errors over both tracks while they move, after ``begin`` s."""
     forces = [force for force, t in zip(forces, _times(forces), strict=True) if t > begin]
     at = truth.interpolate(_times(forces))
@@ -135,8 +137,8 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
     tracks = vehicle.rolling_radius * np.column_stack((at.left_speed, at.right_speed))
     runs, drives = np.abs(tracks) > MIN_MOVING_SPEED, true * tracks > 0.0
     return {
-        "driving_error": _relative(found[runs & drives], true[runs & drives]),
-        "braking_error": _relative(found[runs & ~drives], true[runs & ~drives]),
+        "driving_error": _relative_rms(found[runs & drives], true[runs & drives]),
+        "braking_error": _relative_rms(found[runs & ~drives], true[runs & ~drives]),
     }
 
 
@@ -150,7 +152,7 @@ def _offset_residue(readings: Readings, setting: Setting, standstill: float) -> 
     return float(np.abs(offsets["mean"] - readings.offsets).max())
 
 
-def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
+def soil_change(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
     """Detection of the first border between soils: delay, s, and wrong probability at the border."""
     crossings = np.flatnonzero(np.diff(truth.soil_index))
     if not crossings.size:
@@ -168,12 +170,12 @@ def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
 
 
 def steady_turns(truth: Truth, times: FloatArray) -> BoolArray:
-    """(n,) whether at times (n,), s, the tracks have turned at nearly constant speeds for ``_STEADY`` s."""
-    window = times[:, np.newaxis] - np.linspace(0.0, _STEADY, 21)
+    """(n,) whether at times (n,), s, the tracks turned at constant speeds for ``_STEADY_TIME`` s."""
+    window = times[:, np.newaxis] - np.linspace(0.0, _STEADY_TIME, 21)
     tracks = np.stack([np.interp(window, truth.t, speed) for speed in (truth.left_speed, truth.right_speed)])
     fastest = np.abs(tracks).max(axis=(0, 2))
-    turning = (np.abs(tracks[1] - tracks[0]) > _UNEQUAL * fastest[:, np.newaxis]).all(axis=1)
-    constant = (np.ptp(tracks, axis=2) < _CONSTANT * fastest).all(axis=0)
+    turning = (np.abs(tracks[1] - tracks[0]) > _MIN_DIFFERENCE * fastest[:, np.newaxis]).all(axis=1)
+    constant = (np.ptp(tracks, axis=2) < _MAX_VARIATION * fastest).all(axis=0)
     steady: BoolArray = turning & constant
     return steady
 
@@ -183,17 +185,17 @@ def _times(published: Sequence[SoilState] | Sequence[TrackForces]) -> FloatArray
     return np.array([(one.stamp_ns - START_NS) * 1e-9 for one in published])
 
 
-def _around(mean: float, variance: float) -> Interval:
-    spread = _TAIL * math.sqrt(variance)
+def _interval_of(mean: float, variance: float) -> Interval:
+    spread = _NORMAL_QUANTILE * math.sqrt(variance)
     return mean - spread, mean + spread
 
 
-def _over(interval: Interval, truth: float) -> Interval:
+def _relative_interval(interval: Interval, truth: float) -> Interval:
     low, high = interval
     return low / truth, high / truth
 
 
-def _relative(found: FloatArray, true: FloatArray) -> float:
+def _relative_rms(found: FloatArray, true: FloatArray) -> float:
     """RMS of the error over the RMS of the truth; nan of no values."""
     if not true.size:
         return _NAN

@@ -18,11 +18,11 @@ from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.engine import NOTHING, Columns, Study, Workers, spread, table, words
+from trackslip_sim.study.engine import NO_VALUE, Columns, Study, Workers, map_pieces, spaced_name, table_lines
 from trackslip_sim.study.soil import score
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
 from trackslip_sim.study.soil.results import AnyRow, ChangeRow, SoilRow, summary
-from trackslip_sim.study.soil.score import RECOGNISED, Result, run
+from trackslip_sim.study.soil.score import RECOGNISED, Result, run_trial
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
@@ -45,50 +45,50 @@ _CHANGE_LEGEND = (
 )
 
 
-def _spread(median: float, worst: float, scale: float = 100.0) -> str:
+def _spread_text(median: float, worst: float, scale: float = 100.0) -> str:
     """Text of median and worst; – for nan."""
     if math.isnan(median):
-        return NOTHING
+        return NO_VALUE
     return f"{scale * median:.1f} ({scale * worst:.1f})".replace("inf", "never")
 
 
-def _error(name: str) -> Callable[[SoilRow], str]:
-    return lambda row: _spread(getattr(row, f"{name}_error"), getattr(row, f"{name}_worst"))
+def _error_column(name: str) -> Callable[[SoilRow], str]:
+    return lambda row: _spread_text(getattr(row, f"{name}_error"), getattr(row, f"{name}_worst"))
 
 
-def _count(name: str) -> Callable[[AnyRow], str]:
+def _count_column(name: str) -> Callable[[AnyRow], str]:
     return lambda row: f"{getattr(row, name)}/{row.seeds}"
 
 
-_MACHINE: Columns = {
+_MACHINE_COLUMNS: Columns = {
     "machine": lambda row: "drawn" if row.drawn else "nominal",
     "σ_xy m": lambda row: f"{row.sigma_xy:g}",
 }
-_TERRAIN: Columns = {"terrain": lambda row: words(row.terrain) or NOTHING}
-_SOIL: Columns = {
-    "soil": lambda row: words(row.soil),
-    **_MACHINE,
-    "F_max %": _error("F_max"),
-    "in": _count("F_max_inside"),
-    "K %": _error("K"),
-    "in ": _count("K_inside"),
+_TERRAIN_COLUMNS: Columns = {"terrain": lambda row: spaced_name(row.terrain) or NO_VALUE}
+_SOIL_COLUMNS: Columns = {
+    "soil": lambda row: spaced_name(row.soil),
+    **_MACHINE_COLUMNS,
+    "F_max %": _error_column("F_max"),
+    "in": _count_column("F_max_inside"),
+    "K %": _error_column("K"),
+    "in ": _count_column("K_inside"),
     "K high/low": lambda row: f"{row.K_ratio:.2f}",
-    "known": _count("identifiable"),
+    "known": _count_column("identifiable"),
     "P(class)": lambda row: f"{row.class_probability:.2f}",
-    "μ_r %": _error("mu_r"),
-    "in  ": _count("mu_r_inside"),
-    "M_r %": _error("M_r"),
-    "in   ": lambda row: NOTHING if math.isnan(row.M_r_error) else f"{row.M_r_inside}/{row.seeds}",
-    "F driving %": _error("driving_thrust"),
-    "F braking %": _error("braking_thrust"),
-    "offset kPa": lambda row: _spread(row.offset_residue, row.offset_residue_worst, 1e-3),
+    "μ_r %": _error_column("mu_r"),
+    "in  ": _count_column("mu_r_inside"),
+    "M_r %": _error_column("M_r"),
+    "in   ": lambda row: NO_VALUE if math.isnan(row.M_r_error) else f"{row.M_r_inside}/{row.seeds}",
+    "F driving %": _error_column("driving_thrust"),
+    "F braking %": _error_column("braking_thrust"),
+    "offset kPa": lambda row: _spread_text(row.offset_residue, row.offset_residue_worst, 1e-3),
 }
-_CHANGE: Columns = {
-    "from": lambda row: words(row.soil),
-    "to": lambda row: words(row.into),
-    **_MACHINE,
-    "recognised": _count("recognised"),
-    "after s": lambda row: _spread(row.recognised_after, row.recognised_after_worst, 1.0),
+_CHANGE_COLUMNS: Columns = {
+    "from": lambda row: spaced_name(row.soil),
+    "to": lambda row: spaced_name(row.into),
+    **_MACHINE_COLUMNS,
+    "recognised": _count_column("recognised"),
+    "after s": lambda row: _spread_text(row.recognised_after, row.recognised_after_worst, 1.0),
     "P(wrong) before": lambda row: f"{row.wrong_before:.2f} ({row.wrong_before_worst:.2f})",
 }
 
@@ -141,7 +141,7 @@ class SoilStudy(Study[Trial, Result]):
         return {**self._common, "scenario": self._scenarios[piece.scenario], "terrain": terrain}
 
     def compute(self, pieces: Sequence[Trial], workers: Workers) -> Generator[Result, None, None]:
-        return spread(_run, self._setting, pieces, workers)
+        return map_pieces(_run, self._setting, pieces, workers)
 
     def row(self, cell: SoilCell, results: Sequence[Result]) -> AnyRow:
         return summary(cell, results)
@@ -153,7 +153,7 @@ class SoilStudy(Study[Trial, Result]):
 
 
 def _run(setting: Setting, trial: Trial) -> Result:
-    return run(trial, setting)
+    return run_trial(trial, setting)
 
 
 def _tables(rows: Sequence[AnyRow]) -> str:
@@ -164,13 +164,13 @@ def _tables(rows: Sequence[AnyRow]) -> str:
     lines: list[str] = []
     if soils:
         on_terrain = any(row.terrain for row in soils)
-        columns = {**_TERRAIN, **_SOIL} if on_terrain else _SOIL
+        columns = {**_TERRAIN_COLUMNS, **_SOIL_COLUMNS} if on_terrain else _SOIL_COLUMNS
         lines += [
-            *table(columns, soils, text_columns=2 + on_terrain),
+            *table_lines(columns, soils, text_columns=2 + on_terrain),
             "",
             _SOIL_LEGEND.format(scenario=scenario),
         ]
     if changes:
         legend = _CHANGE_LEGEND.format(scenario=scenario, certain=RECOGNISED)
-        lines += [*table(_CHANGE, changes, text_columns=3), "", legend]
+        lines += [*table_lines(_CHANGE_COLUMNS, changes, text_columns=3), "", legend]
     return "\n".join(lines) + "\n"

@@ -82,7 +82,7 @@ def load_setting(
     return Setting(study or load_soil_study_parameters({}), slip_p, soil_p, noise)
 
 
-def drive(trial: Trial, scenario: Scenario | None = None, setting: Setting | None = None) -> Truth:
+def simulate_trial(trial: Trial, scenario: Scenario | None = None, setting: Setting | None = None) -> Truth:
     """True motion of the nominal or a drawn machine; ``scenario`` replaces that of the trial, unchanged."""
     scenario, setting = scenario or _scenario_of(trial), setting or load_setting()
     vehicle, settings = setting.soil.vehicle.whole(), load_settings()
@@ -104,15 +104,15 @@ def _scenario_of(trial: Trial) -> Scenario:
     return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
 
 
-def estimates(trial: Trial, truth: Truth, setting: Setting | None = None) -> Iterator[SoilState]:
+def soil_states(trial: Trial, truth: Truth, setting: Setting | None = None) -> Iterator[SoilState]:
     """Soil states that the soil estimator publishes on a drive."""
     setting = setting or load_setting()
-    for output in outputs(read(trial, truth, setting), setting):
+    for output in estimator_outputs(draw_readings(trial, truth, setting), setting):
         if isinstance(output, SoilState):
             yield output
 
 
-def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
+def estimator_outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
     """All outputs of the soil estimator."""
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
@@ -128,7 +128,7 @@ def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
         yield from found.in_order()
 
 
-def read(trial: Trial, truth: Truth, setting: Setting) -> Readings:
+def draw_readings(trial: Trial, truth: Truth, setting: Setting) -> Readings:
     """Draw the sensor readings of a drive."""
     random = np.random.default_rng((trial.seed, round(trial.sigma_xy * 1e6)))
     arrivals = _arrivals(trial, truth, setting, random)
@@ -144,19 +144,19 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
     zero = resolution * random.uniform(0.0, 1.0, 2)
     counted = np.floor((angles + zero) / resolution) * resolution
     for t, (left, right), v_l, v_r in zip(at.t, counted.tolist(), at.left_speed, at.right_speed, strict=True):
-        arrivals.append((t, 1, Sprockets("sprockets", _stamp(t), float(v_l), float(v_r), (left, right))))
+        arrivals.append((t, 1, Sprockets("sprockets", _stamp_ns(t), float(v_l), float(v_r), (left, right))))
     at = truth.interpolate(np.arange(0.5 / p.gyro_rate, truth.duration, 1.0 / p.gyro_rate))
     rates = at.yaw_rate + noise.gyro_bias + noise.gyro_stddev * random.standard_normal(len(at))
     tilting = tilt_readings(truth, at.t, noise, np.random.default_rng((trial.seed, 2)))
     of_rate, of_force = noise.gyro_stddev**2, noise.acceleration_stddev**2
     for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), tilting.tolist(), strict=True):
         turning = rate, of_rate, (p_rate, q_rate), (of_rate, of_rate)
-        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), *turning, (f_x, f_y, f_z), of_force)))
+        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp_ns(t), *turning, (f_x, f_y, f_z), of_force)))
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.fix_rate))
     deviations = np.array((trial.sigma_xy, trial.sigma_xy, p.sigma_heading))
     poses = np.stack((at.x, at.y, at.yaw), axis=1) + deviations * random.standard_normal((len(at), 3))
     for t, pose in zip(at.t, poses, strict=True):
-        fix = PoseFix("box_pose", _stamp(t), pose, np.diag(np.square(deviations)))
+        fix = PoseFix("box_pose", _stamp_ns(t), pose, np.diag(np.square(deviations)))
         arrivals.append((t + p.fix_delay if t > 0.0 else 0.0, 0, fix))
     return [measurement for _, _, measurement in sorted(arrivals, key=lambda arrival: arrival[:2])]
 
@@ -170,8 +170,8 @@ def _pressures(
     values = np.stack((at.left_pressure, at.right_pressure), axis=1) + offsets
     values += setting.noise.pressure_stddev * random.standard_normal(values.shape)
     rows = np.column_stack((values, at.left_spool, at.right_spool)).tolist()
-    return [Hydraulics(_stamp(t), *row) for t, row in zip(at.t, rows, strict=True)], offsets
+    return [Hydraulics(_stamp_ns(t), *row) for t, row in zip(at.t, rows, strict=True)], offsets
 
 
-def _stamp(t: float) -> int:
+def _stamp_ns(t: float) -> int:
     return START_NS + round(float(t) * 1e9)
