@@ -23,7 +23,7 @@ import yaml
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE, bag_parameters, bag_vehicle
-from trackslip_bags.reader import absolute, open_bag
+from trackslip_bags.reader import absolute_name, open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import node_defaults, parameters_text
 from trackslip_common.vehicle_files import vehicle_layer
@@ -116,7 +116,7 @@ def _shorten(whole: Path, path: Path, recipe: Recipe) -> None:
     text = parameters_text(node_defaults(NODE, recipe.parameters), NODE)
     with open_bag(whole) as bag, BagWriter(path) as shorter:
         data = serialize(make(PARAMETERS_TYPE, data=text))
-        shorter.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, data, bag.start_ns)
+        shorter.write(absolute_name(PARAMETERS_TOPIC), PARAMETERS_TYPE, data, bag.start_ns)
         for message in bag.messages(recipe.topics):
             counts[message.topic] += 1
             if not message.topic.startswith("/truth/") or counts[message.topic] % recipe.truth_every == 1:

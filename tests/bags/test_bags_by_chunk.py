@@ -114,7 +114,7 @@ def test_whole_files(recorded: Recorded, topics: set[str], stretch_ns: int) -> N
         assert at_once(bag, topics) == one_by_one(bag, topics)
         if recorded.index_types is IndexType.ALL and recorded.messages:
             types = dict.fromkeys(TOPICS, TEXT)
-            by_chunk = chunks._by_chunk(bag.files, types, bag.start_ns, bag.end_ns + 1)
+            by_chunk = chunks._stretches_by_chunk(bag.files, types, bag.start_ns, bag.end_ns + 1)
             assert sum(len(stretch.topics) for stretch in by_chunk) == len(recorded.messages)
 
 

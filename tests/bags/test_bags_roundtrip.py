@@ -16,7 +16,7 @@ from rosbags.interfaces import Nodetype
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.types import ensure, field_parts
+from trackslip_bags.types import ensure_type, field_parts
 from trackslip_bags.writer import BagWriter
 
 MSG_FOLDER = Path(__file__).parents[2] / "src" / "trackslip_msgs" / "msg"
@@ -47,7 +47,7 @@ def fields(description: Any) -> st.SearchStrategy[Any]:
 
 
 def messages(type_name: str) -> st.SearchStrategy[Any]:
-    described = ensure(type_name).fielddefs[type_name][1]
+    described = ensure_type(type_name).fielddefs[type_name][1]
     strategies = {name: fields(description) for name, description in described}
     return st.fixed_dictionaries(strategies).map(lambda values: make(type_name, **values))
 

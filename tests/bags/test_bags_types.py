@@ -122,7 +122,7 @@ def test_an_unreadable_definition_is_named(tmp_path: Path, monkeypatch: pytest.M
     (folder / "Bad.msg").write_text("float64 [[[\n", encoding="utf-8")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     with pytest.raises(InputError, match=r"Bad\.msg"):
-        types.ensure("bad_msgs/msg/Bad")
+        types.ensure_type("bad_msgs/msg/Bad")
 
 
 def test_a_bag_with_an_older_definition_is_read_by_its_own() -> None:

@@ -9,11 +9,11 @@ import pytest
 from trackslip_bags.disk import (
     LIBRARY,
     DiskWatch,
-    Recorded,
+    RecordedFile,
+    files_over_budget,
     is_recording,
     recorded_files,
     remove_recorded,
-    too_many,
 )
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
@@ -58,15 +58,15 @@ def test_oldest_bags_are_removed_first_except_the_open_one() -> None:
     bag, other, busy = Path("bag"), Path("other"), Path("busy")
     writing = bag / "bag_1.mcap"
     files = [
-        Recorded(writing, 100, 1.0),
-        Recorded(bag / "bag_0.mcap", 100, 990.0),
-        Recorded(other / "other_0.mcap", 100, 20.0),
-        Recorded(other / "other_1.mcap", 100, 30.0),
-        Recorded(busy / "busy_0.mcap", 100, 980.0),
+        RecordedFile(writing, 100, 1.0),
+        RecordedFile(bag / "bag_0.mcap", 100, 990.0),
+        RecordedFile(other / "other_0.mcap", 100, 20.0),
+        RecordedFile(other / "other_1.mcap", 100, 30.0),
+        RecordedFile(busy / "busy_0.mcap", 100, 980.0),
     ]
 
     def removed(most: int) -> list[str]:
-        return [file.name for file in too_many(files, most, bag, writing, now_s=1000.0)]
+        return [file.name for file in files_over_budget(files, most, bag, writing, now_s=1000.0)]
 
     assert removed(500) == []
     assert removed(499) == ["other_0.mcap"]

@@ -9,7 +9,7 @@ import pytest
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.manual_poses import input_names
 from trackslip_bags.messages import make, serialize
-from trackslip_bags.playback import played, played_topics
+from trackslip_bags.playback import played_messages, played_topics
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 
@@ -30,7 +30,7 @@ def test_each_set_pose_is_read_and_played_once(path: Path) -> None:
         assert list(input_names(bag).values()) == ["slip_estimator/set_pose"]
         topics = played_topics(bag, InputFilters(), ())
         assert topics == {GIVEN: POSE}
-        assert [message.topic for message in played(bag, InputFilters(), topics)] == [GIVEN]
+        assert [message.topic for message in played_messages(bag, InputFilters(), topics)] == [GIVEN]
 
 
 def test_set_poses_are_read_where_the_repeat_topic_is_empty(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_bags.messages import make, serialize
-from trackslip_bags.playback import OWN_OUTPUTS, Playback, Played, played, played_topics
+from trackslip_bags.playback import OWN_OUTPUTS, Playback, PlayedMessage, played_messages, played_topics
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 
@@ -18,14 +18,14 @@ S = 1_000_000_000
 BEGIN_NS = 1_000 * S
 
 
-def three() -> Iterator[Played]:
+def three() -> Iterator[PlayedMessage]:
     """Messages at 0, 1 and 3 s."""
     for t in (0, 1, 3):
-        yield Played("/a", BEGIN_NS + t * S, str(t).encode())
+        yield PlayedMessage("/a", BEGIN_NS + t * S, str(t).encode())
 
 
 def taken(playback: Playback, now_s: float) -> list[str]:
-    return [message.raw.decode() for message in playback.due(now_s)]
+    return [message.raw.decode() for message in playback.due_messages(now_s)]
 
 
 @pytest.fixture
@@ -43,9 +43,9 @@ def test_messages_are_due_at_their_log_time() -> None:
     assert taken(playback, 50.0) == ["0"]
     assert taken(playback, 50.9) == []
     assert taken(playback, 51.0) == ["1"]
-    assert not playback.finished
+    assert not playback.is_finished
     assert taken(playback, 60.0) == ["3"]
-    assert playback.finished
+    assert playback.is_finished
     assert playback.counts == {"/a": 3}
 
 
@@ -74,7 +74,7 @@ def test_pause_stops_messages_and_the_clock() -> None:
 def test_message_not_fetched_remains_due() -> None:
     playback = Playback(three, rate=1.0)
     assert taken(playback, 0.0) == ["0"]
-    first = next(playback.due(10.0))
+    first = next(playback.due_messages(10.0))
     assert first.raw == b"1"
     assert taken(playback, 10.0) == ["3"]
 
@@ -83,7 +83,7 @@ def test_clock_does_not_run_ahead_of_due_messages() -> None:
     """After a stall of 3 s at four times the speed, the clock stops at the messages that are still due."""
     playback = Playback(three, rate=4.0)
     assert taken(playback, 0.0) == ["0"]
-    messages = playback.due(3.0)
+    messages = playback.due_messages(3.0)
     assert playback.bag_ns == BEGIN_NS
     next(messages)
     assert playback.bag_ns == BEGIN_NS + 3 * S
@@ -96,7 +96,7 @@ def test_a_loop_begins_again_with_its_time() -> None:
     assert taken(playback, 0.0) == ["0"]
     assert taken(playback, 1.0) == ["1"]
     assert taken(playback, 3.0)[:2] == ["3", "0"]
-    assert not playback.finished
+    assert not playback.is_finished
     assert playback.bag_ns == BEGIN_NS
     assert taken(playback, 4.0) == ["1"]
 
@@ -108,7 +108,7 @@ def test_outputs_of_estimators_are_played_only_on_request(path: Path) -> None:
             "/sprockets",
             "/odometry",
         }
-        assert {m.topic for m in played(bag, InputFilters(), ["/sprockets"])} == {"/sprockets"}
+        assert {m.topic for m in played_messages(bag, InputFilters(), ["/sprockets"])} == {"/sprockets"}
     estimates = {"odometry", "odometry/local", "attitude", "swing/estimate", "machine_state", "track_slip"}
     assert estimates | {"slip_estimator/parameters"} <= OWN_OUTPUTS
     assert not {"sprockets", "box_pose", "scan"} & OWN_OUTPUTS
@@ -121,6 +121,6 @@ def test_window_names_and_outages_are_those_of_any_replay(path: Path) -> None:
     with open_bag(path) as bag:
         topics = played_topics(bag, filters, [])
         assert topics == {"/tracks": TEXT}
-        found = list(played(bag, filters, topics))
+        found = list(played_messages(bag, filters, topics))
         assert [(m.log_time_ns - BEGIN_NS) // S for m in found] == [2, 3, 6, 7]
         assert bag.deserialize(found[0].raw, TEXT).data == "/sprockets 2"

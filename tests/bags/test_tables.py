@@ -16,7 +16,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.tables import TopicTable, read_tables
-from trackslip_bags.types import ensure
+from trackslip_bags.types import ensure_type
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS, PoseFields, SprocketFields
@@ -142,7 +142,7 @@ def test_a_message_that_is_not_of_its_type_is_refused(raw: bytes, tmp_path: Path
 
 def test_big_endian_messages_are_read_one_by_one(tmp_path: Path) -> None:
     messages = [joints(k) for k in range(4)]
-    store = ensure(JOINTS)
+    store = ensure_type(JOINTS)
     raws = [bytes(store.serialize_cdr(m, JOINTS, little_endian=k % 2 == 0)) for k, m in enumerate(messages)]
     with bag_of(tmp_path / "bag", JOINTS, raws) as bag:
         (table,) = tables(bag)
@@ -183,7 +183,7 @@ def _by_rosbags(storage: StoragePlugin, mode: CompressionMode) -> Callable[[Path
         writer = Writer(path, version=9, storage_plugin=storage)
         writer.set_compression(mode, CompressionFormat.ZSTD)
         with writer:
-            connection = writer.add_connection("/sprockets", JOINTS, typestore=ensure(JOINTS))
+            connection = writer.add_connection("/sprockets", JOINTS, typestore=ensure_type(JOINTS))
             for k in range(20):
                 writer.write(connection, 1000 + k, serialize(joints(k)))
 

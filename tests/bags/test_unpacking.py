@@ -22,7 +22,7 @@ from trackslip_bags.chunks import read_stretches
 from trackslip_bags.importing.robot_bags import Ros1Bags
 from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
-from trackslip_bags.unpacking import LARGEST, message, unpack_file, unpacked
+from trackslip_bags.unpacking import MAX_SIZE, decompress, decompress_file, decompress_message
 from trackslip_common.errors import InputError
 
 MEMORY = 1_500_000_000  # bytes of address space of the reader
@@ -35,28 +35,28 @@ PACKED = {
 
 @pytest.mark.parametrize("kind", PACKED)
 def test_chunk_is_unpacked_to_what_it_states(kind: str) -> None:
-    assert unpacked(PACKED[kind](5000), kind.partition("_")[0], 5000) == b"\0" * 5000
+    assert decompress(PACKED[kind](5000), kind.partition("_")[0], 5000) == b"\0" * 5000
 
 
 @pytest.mark.parametrize("kind", PACKED)
 @pytest.mark.parametrize("stated", [0, 4999, 5001])
 def test_chunk_of_another_size_than_stated_is_refused(kind: str, stated: int) -> None:
     with pytest.raises(ValueError, match="another size"):
-        unpacked(PACKED[kind](5000), kind.partition("_")[0], stated)
+        decompress(PACKED[kind](5000), kind.partition("_")[0], stated)
 
 
 def test_chunk_above_the_size_limit_is_refused() -> None:
     with pytest.raises(ValueError, match="4000 MB; accepted"):
-        unpacked(b"", "zstd", 4_000_000_000)
+        decompress(b"", "zstd", 4_000_000_000)
 
 
 def test_message_above_the_unpacked_limit_is_refused() -> None:
     packer = zstandard.ZstdCompressor().compressobj()
-    pieces = [packer.compress(b"\0" * 1_000_000) for _ in range(LARGEST // 1_000_000 + 1)]
+    pieces = [packer.compress(b"\0" * 1_000_000) for _ in range(MAX_SIZE // 1_000_000 + 1)]
     packed = b"".join([*pieces, packer.flush()])
-    with pytest.raises(ValueError, match=f"more than {LARGEST // 10**6} MB"):
-        message(packed)
-    assert message(zstandard.ZstdCompressor().compress(b"abc")) == b"abc"
+    with pytest.raises(ValueError, match=f"more than {MAX_SIZE // 10**6} MB"):
+        decompress_message(packed)
+    assert decompress_message(zstandard.ZstdCompressor().compress(b"abc")) == b"abc"
 
 
 @pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
@@ -73,7 +73,7 @@ def test_chunk_of_ros1_above_the_unpacked_limit_is_refused(
     assert file.stat().st_size < 10_000
     with Ros1Bags([file]) as bags:
         assert [len(message.content.data) for message in bags.read(["/a"])] == [100_000]
-    monkeypatch.setattr(unpacking, "LARGEST", 50_000)
+    monkeypatch.setattr(unpacking, "MAX_SIZE", 50_000)
     with Ros1Bags([file]) as bags, pytest.raises(InputError, match="unpacks to more than"):
         list(bags.read(["/a"]))
 
@@ -83,9 +83,9 @@ def test_file_that_unpacks_to_too_much(tmp_path: Path) -> None:
     piece = zstandard.ZstdCompressor().compress(b"\0" * 20_000_000)
     file.write_bytes(piece * 20)
     with pytest.raises(ValueError, match="unpack to more than"):
-        unpack_file(file)
+        decompress_file(file)
     file.write_bytes(piece)
-    unpack_file(file)
+    decompress_file(file)
 
 
 def _info(bag: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from trackslip_bags.messages import make as make_for_bags
 from trackslip_bags.messages import serialize
-from trackslip_bags.types import ensure, fields_by
+from trackslip_bags.types import ensure_type, fields_by
 from trackslip_common.message_buffer import MessageBuffer
 from trackslip_common.nodes.messages import fields_of, make, type_name_of
 from trackslip_common.nodes.outputs import PackedOutput
@@ -106,7 +106,7 @@ def test_a_message_sent_as_bytes_is_what_rclpy_sends(name: str, observer: Any) -
 
 def buffer_for_bags(blank: Any) -> MessageBuffer:
     type_name = blank.__msgtype__
-    return MessageBuffer(type_name, fields_by(ensure(type_name)), serialize(blank))
+    return MessageBuffer(type_name, fields_by(ensure_type(type_name)), serialize(blank))
 
 
 def test_transforms_filled_in_bytes_are_those_of_their_objects() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
-from trackslip_bags.types import ensure, fields_by
+from trackslip_bags.types import ensure_type, fields_by
 from trackslip_common.message_fields import (
     RECORDS,
     FrameFields,
@@ -114,4 +114,4 @@ def test_a_packed_message_of_another_type_is_refused_as_its_object_is() -> None:
     "type_name", sorted({t.type_name for t in TOPICS.values()} - {"tf2_msgs/msg/TFMessage"})
 )
 def test_rclpy_and_the_definitions_of_bags_state_the_same_fields(type_name: str) -> None:
-    assert list(fields_of(type_name)) == list(fields_by(ensure(type_name))(type_name))
+    assert list(fields_of(type_name)) == list(fields_by(ensure_type(type_name))(type_name))

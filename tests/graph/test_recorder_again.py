@@ -52,7 +52,7 @@ def test_existing_bag_name_is_skipped(recorder: RecordNode, tmp_path: Path) -> N
 
 def test_publishers_are_counted_separately_for_each_bag(recorder: RecordNode) -> None:
     """A second publisher in the next bag has its own sequence numbers; they are no gaps."""
-    recorder._taps.alone = {"/topic"}
+    recorder._raw_subscriptions.single_publisher_topics = {"/topic"}
     again(recorder)
     received(recorder, 1, publisher_gid=None)
     received(recorder, 1000, publisher_gid=None)

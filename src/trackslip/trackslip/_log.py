@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackslip._frames import to_pandas
 from trackslip._values import as_text
 from trackslip_bags.parameters import bag_vehicle
-from trackslip_bags.reader import Bag, absolute, open_bag, require_topics
+from trackslip_bags.reader import Bag, absolute_name, open_bag, require_topics
 from trackslip_bags.tables import read_tables
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS
@@ -41,11 +41,12 @@ class Log:
         """
         with open_bag(self.path, self.namespace) as bag:
             require_topics(bag, [topic])
-            kind = RECORDS.get(self.types[absolute(topic)])
+            type_name = self.types[absolute_name(topic)]
+            kind = RECORDS.get(type_name)
             if kind is None:
-                readable = [name for name, type_name in self.types.items() if type_name in RECORDS]
+                readable = [name for name, kind_name in self.types.items() if kind_name in RECORDS]
                 raise InputError(
-                    f"bag '{self.path}': {topic} is a {self.types[absolute(topic)]}, which has no columns; "
+                    f"bag '{self.path}': {topic} is a {type_name}, which has no columns; "
                     f"accepted: {', '.join(readable)}"
                 )
             tables = [table for stretch in read_tables(bag, [topic]) for table in stretch.values()]
@@ -75,8 +76,8 @@ def load(bag: Path | str, namespace: str = "") -> Log:
 
 
 def _overview(bag: Bag, path: Path, namespace: str) -> Log:
-    counts = {absolute(topic): info.count for topic, info in sorted(bag.topics.items())}
-    types = {absolute(topic): info.type_name for topic, info in sorted(bag.topics.items())}
+    counts = {absolute_name(topic): info.count for topic, info in sorted(bag.topics.items())}
+    types = {absolute_name(topic): info.type_name for topic, info in sorted(bag.topics.items())}
     vehicle = bag_vehicle(bag)
     return Log(
         path,

@@ -19,18 +19,18 @@ from mcap.reader import make_reader
 
 from trackslip_bags.mcap_index import (
     Bytes,
-    Indexed,
-    Located,
-    Part,
-    chosen,
-    content_of,
-    indexed_in,
-    joined,
-    messages_in,
-    parts_of,
+    ChannelIndex,
+    FileChunk,
+    MessageRows,
+    chunks_of,
+    join_rows,
+    locate_messages,
+    read_chunk,
+    read_indexes,
+    select_rows,
 )
 from trackslip_bags.metadata import LATEST_NS
-from trackslip_bags.reader import Bag, absolute, require_one_type
+from trackslip_bags.reader import Bag, absolute_name, require_one_type
 from trackslip_common.arrays import IntArray
 from trackslip_common.errors import InputError
 
@@ -65,19 +65,21 @@ def read_stretches(
     if bag.end_ns > LATEST_NS:
         beyond = "messages are logged after 2262, beyond what is read"
         raise InputError(f"bag '{bag.path}': {beyond}; trackslip recover leaves them out")
-    names = {absolute(topic) for topic in topics}
-    types = {topic: info.type_name for topic, info in bag.topics.items() if absolute(topic) in names}
+    names = {absolute_name(topic) for topic in topics}
+    types = {topic: info.type_name for topic, info in bag.topics.items() if absolute_name(topic) in names}
     require_one_type(bag, types)
     reached_ns = first
     try:
-        for stretch in _by_chunk(bag.files, types, first, stop):
+        for stretch in _stretches_by_chunk(bag.files, types, first, stop):
             yield stretch
             reached_ns = stretch.until_ns
     except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
-        yield from _one_by_one(bag, types, reached_ns, stop)
+        yield from _stretches_by_message(bag, types, reached_ns, stop)
 
 
-def _one_by_one(bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+def _stretches_by_message(
+    bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int
+) -> Iterator[Stretch]:
     numbers = {topic: number for number, topic in enumerate(types)}
     topics: list[int] = []
     times: list[int] = []
@@ -100,17 +102,17 @@ def _one_by_one(bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int)
     yield stretch(stop_ns)
 
 
-def _by_chunk(
+def _stretches_by_chunk(
     files: Collection[Path], types: Mapping[str, str], start_ns: int, stop_ns: int
 ) -> Iterator[Stretch]:
     """The stretches of common MCAP files, chunk by chunk."""
     if not files:
         raise ValueError("no common file")
     with ExitStack() as stack:
-        parts: list[Part] = []
+        parts: list[FileChunk] = []
         for path in files:
             stream = stack.enter_context(path.open("rb"))
-            parts += parts_of(stream, make_reader(stream).get_summary(), types, len(parts))
+            parts += chunks_of(stream, make_reader(stream).get_summary(), types, len(parts))
         parts = [
             part
             for part in parts
@@ -120,37 +122,39 @@ def _by_chunk(
         ]
         waiting = deque(sorted(parts, key=lambda part: part.chunk.message_start_time))
         parts.clear()
-        yield from _stretches(waiting, start_ns, stop_ns)
+        yield from _merge_chunks(waiting, start_ns, stop_ns)
 
 
-def _stretches(parts: deque[Part], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+def _merge_chunks(parts: deque[FileChunk], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
     """Yield stretches from chunks in the order of their first message.
 
     Messages before the first message of the next chunk are complete.
     """
-    buffer, waiting = np.empty(0, np.uint8), joined([])
+    buffer, waiting = np.empty(0, np.uint8), join_rows([])
     while parts:
         pieces, size = [buffer], buffer.size
-        indexed: list[Indexed] = []
+        indexed: list[ChannelIndex] = []
         limit_ns, most = parts[0].chunk.message_start_time + STRETCH_NS, size + _STRETCH_BYTES
         while parts and parts[0].chunk.message_start_time < limit_ns and size < most:
             part = parts.popleft()
-            content = content_of(part)
-            indexed += indexed_in(part, size, size + content.size)
+            content = read_chunk(part)
+            indexed += read_indexes(part, size, size + content.size)
             pieces.append(content)
             size += content.size
         until_ns = min(parts[0].chunk.message_start_time, stop_ns) if parts else stop_ns
         whole = np.concatenate(pieces)
-        rows = joined([waiting, messages_in(whole, indexed)])
+        rows = join_rows([waiting, locate_messages(whole, indexed)])
         requested = rows.log_times_ns >= start_ns
-        now = chosen(rows, requested & (rows.log_times_ns < until_ns))
-        ready = chosen(now, np.lexsort((now.written[:, 1], now.written[:, 0], now.log_times_ns)))
+        now = select_rows(rows, requested & (rows.log_times_ns < until_ns))
+        ready = select_rows(now, np.lexsort((now.written[:, 1], now.written[:, 0], now.log_times_ns)))
         if until_ns > start_ns:
             yield Stretch(until_ns, whole, ready.topics, ready.log_times_ns, ready.starts, ready.lengths)
-        buffer, waiting = _carried(whole, chosen(rows, requested & (rows.log_times_ns >= until_ns)))
+        buffer, waiting = _copy_messages(
+            whole, select_rows(rows, requested & (rows.log_times_ns >= until_ns))
+        )
 
 
-def _carried(buffer: Bytes, rows: Located) -> tuple[Bytes, Located]:
+def _copy_messages(buffer: Bytes, rows: MessageRows) -> tuple[Bytes, MessageRows]:
     """A buffer with only these messages, and their rows."""
     ends = np.cumsum(rows.lengths)
     pairs = zip(rows.starts.tolist(), (rows.starts + rows.lengths).tolist(), strict=True)

@@ -45,7 +45,7 @@ def installed_schema(type_name: str) -> Schema | None:
     description = msg_file(type_name, ".json")
     texts: dict[str, str] = {}
     try:
-        _collect(type_name, texts)
+        _collect_definitions(type_name, texts)
         entries = json.loads(description.read_text(encoding="utf-8"))["type_hashes"] if description else []
         hashes = {str(entry["type_name"]): str(entry["hash_string"]) for entry in entries}
         first, *inner = texts.items()
@@ -55,7 +55,7 @@ def installed_schema(type_name: str) -> Schema | None:
         return None
 
 
-def _collect(type_name: str, texts: dict[str, str]) -> None:
+def _collect_definitions(type_name: str, texts: dict[str, str]) -> None:
     """Add the definitions of a type, then of its inner types in the order of its fields, to the texts.
 
     The form is that of rosbags: no comments and defaults, full type names, constants first.
@@ -81,7 +81,7 @@ def _collect(type_name: str, texts: dict[str, str]) -> None:
     texts[type_name] = "".join(constants + fields)
     for kind in inner:
         if kind not in texts:
-            _collect(kind, texts)
+            _collect_definitions(kind, texts)
 
 
 def _full_name(kind: str, package: str) -> str:

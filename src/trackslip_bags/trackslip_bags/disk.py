@@ -17,12 +17,12 @@ from trackslip_bags.metadata import METADATA
 from trackslip_common.whole_file import UNFINISHED_NAME
 
 LIBRARY = "trackslip record"  # name of the writer in each file of a recording
-_RESTING = 60.0  # s since the last write, after which no running recorder uses a file
-_OBSERVED = 60.0  # s, window of the rate
-_SHORTEST = 10.0  # s, shortest window of a rate
+_IDLE_TIME = 60.0  # s since the last write, after which no running recorder uses a file
+_OBSERVATION_TIME = 60.0  # s, window of the rate
+_MIN_OBSERVATION = 10.0  # s, shortest window of a rate
 
 
-class Recorded(NamedTuple):
+class RecordedFile(NamedTuple):
     """One file of a recording."""
 
     path: Path
@@ -54,17 +54,19 @@ def _is_recorded(file: Path) -> bool:
     return getattr(first, "library", "") == LIBRARY
 
 
-def recorded_files(folder: Path) -> Iterator[Recorded]:
+def recorded_files(folder: Path) -> Iterator[RecordedFile]:
     """The files of all recordings in a directory."""
     for bag in folder.iterdir():
         if is_recording(bag):
             for file in bag.glob("*.mcap"):
                 with suppress(OSError):  # removed meanwhile
                     about = file.stat()
-                    yield Recorded(file, about.st_size, about.st_mtime)
+                    yield RecordedFile(file, about.st_size, about.st_mtime)
 
 
-def too_many(files: list[Recorded], most: int, bag: Path, writing: Path, now_s: float) -> list[Path]:
+def files_over_budget(
+    files: list[RecordedFile], most: int, bag: Path, writing: Path, now_s: float
+) -> list[Path]:
     """The oldest files, to be removed so that at most ``most`` bytes remain.
 
     Excluded are ``writing``, and recently changed files of other bags than ``bag``.
@@ -72,8 +74,8 @@ def too_many(files: list[Recorded], most: int, bag: Path, writing: Path, now_s: 
     surplus = sum(file.size for file in files) - most
     removed: list[Path] = []
     for file in sorted(files, key=lambda file: (file.changed_s, file.path)):
-        rests = file.path.parent == bag or now_s - file.changed_s > _RESTING
-        if surplus > 0 and file.path != writing and rests:
+        is_idle = file.path.parent == bag or now_s - file.changed_s > _IDLE_TIME
+        if surplus > 0 and file.path != writing and is_idle:
             removed.append(file.path)
             surplus -= file.size
     return removed
@@ -95,22 +97,25 @@ class DiskWatch:
     """Time until the disk is full at the rate of the last minute."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, int]] = deque()
+        self._free_space: deque[tuple[float, int]] = deque()
 
     def add(self, free: int, now_s: float | None = None) -> None:
         """Add the free space now, bytes; ``now_s``: time of a steady clock."""
         now_s = time.monotonic() if now_s is None else now_s
-        self._seen.append((now_s, free))
-        while now_s - self._seen[0][0] > _OBSERVED:
-            self._seen.popleft()
+        self._free_space.append((now_s, free))
+        while now_s - self._free_space[0][0] > _OBSERVATION_TIME:
+            self._free_space.popleft()
 
     @property
     def minutes_left(self) -> float | None:
         """Minutes until the disk is full; None if the free space does not shrink, or is not yet known."""
-        if not self._seen or (passed_s := self._seen[-1][0] - self._seen[0][0]) < _SHORTEST:
+        if (
+            not self._free_space
+            or (passed_s := self._free_space[-1][0] - self._free_space[0][0]) < _MIN_OBSERVATION
+        ):
             return None
-        used = self._seen[0][1] - self._seen[-1][1]
-        return self._seen[-1][1] / (used / passed_s) / 60.0 if used > 0 else None
+        used = self._free_space[0][1] - self._free_space[-1][1]
+        return self._free_space[-1][1] / (used / passed_s) / 60.0 if used > 0 else None
 
 
 def sync_file(file: Path) -> None:

@@ -53,7 +53,7 @@ class InputFilters:
         """Whether the inputs differ from those of the live estimator."""
         return self != InputFilters(seed=self.seed)
 
-    def hides(self, topic: str, t: float) -> bool:
+    def is_withheld(self, topic: str, t: float) -> bool:
         """Whether a topic is withheld at a time, s."""
         return any(w.topic == topic and w.start_s <= t < w.stop_s for w in self.withhold)
 
@@ -66,11 +66,11 @@ def parse_withhold(text: str) -> Withhold:
     """
     topic, *times = text.split(":")
     if topic and not times:
-        return Withhold(relative(topic))
+        return Withhold(relative_name(topic))
     start_s, stop_s = _numbers(text, times, "--withhold", "TOPIC or TOPIC:T0:T1 (s)", 2, 2)
     if not topic or start_s >= stop_s:
         raise InputError(f"--withhold {text}: accepted: TOPIC or TOPIC:T0:T1 with T0 < T1 (s)")
-    return Withhold(relative(topic), start_s, stop_s)
+    return Withhold(relative_name(topic), start_s, stop_s)
 
 
 def parse_thin(text: str) -> Thin:
@@ -88,7 +88,7 @@ def parse_thin(text: str) -> Thin:
     ):
         ranges = f"{_RATES[0]:g} <= HZ <= {_RATES[1]:g} and 0 < SIGMA <= {_LARGEST_SIGMA:g} (m)"
         raise InputError(f"--thin {text}: accepted: TOPIC:HZ[:SIGMA] with {ranges}")
-    return Thin(relative(topic), rate_hz, sigma[0] if sigma else None)
+    return Thin(relative_name(topic), rate_hz, sigma[0] if sigma else None)
 
 
 def parse_remap(text: str) -> tuple[str, str]:
@@ -100,10 +100,10 @@ def parse_remap(text: str) -> tuple[str, str]:
     before, sign, after = text.partition(":=")
     if not sign or not before or not after:
         raise InputError(f"--remap {text}: accepted: from:=to")
-    return relative(before), relative(after)
+    return relative_name(before), relative_name(after)
 
 
-def relative(topic: str) -> str:
+def relative_name(topic: str) -> str:
     """A topic's relative name, as nodes use it."""
     return topic.removeprefix("/")
 

@@ -16,7 +16,7 @@ from mcap.summary import Summary
 from mcap.well_known import MessageEncoding
 from numpy.typing import NDArray
 
-from trackslip_bags.unpacking import plain
+from trackslip_bags.unpacking import decompress_chunk
 from trackslip_common.arrays import BoolArray, IntArray
 
 Bytes = NDArray[np.uint8]
@@ -28,7 +28,7 @@ _MESSAGE = np.dtype([*_RECORD, *_HEADER])  # of a message, up to its content
 _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])  # of a message index
 
 
-class Located(NamedTuple):
+class MessageRows(NamedTuple):
     """Messages in a buffer, one row each."""
 
     topics: IntArray  # (n,) indices of the topics
@@ -45,7 +45,7 @@ class File(NamedTuple):
     numbers: dict[int, int]  # channel → index of its topic
 
 
-class Part(NamedTuple):
+class FileChunk(NamedTuple):
     """One chunk of a file."""
 
     file: File
@@ -53,7 +53,7 @@ class Part(NamedTuple):
     chunk: ChunkIndex
 
 
-class Indexed(NamedTuple):
+class ChannelIndex(NamedTuple):
     """The entries of one channel in the index after a chunk."""
 
     entries: NDArray[np.void]  # (n,) _ENTRY
@@ -66,7 +66,9 @@ class Indexed(NamedTuple):
     last_ns: int
 
 
-def parts_of(stream: IO[bytes], summary: Summary | None, types: Mapping[str, str], known: int) -> list[Part]:
+def chunks_of(
+    stream: IO[bytes], summary: Summary | None, types: Mapping[str, str], known: int
+) -> list[FileChunk]:
     """The chunks of a file in the order written; ``known``: number of chunks of the files before it."""
     if summary is None or summary.statistics is None:
         raise ValueError("no summary")
@@ -74,7 +76,7 @@ def parts_of(stream: IO[bytes], summary: Summary | None, types: Mapping[str, str
     if summary.statistics.message_count and not any(index.message_index_offsets for index in indexes):
         raise ValueError("no index of messages")
     file = File(stream, _numbers(summary, types))
-    return [Part(file, known + k, index) for k, index in enumerate(indexes)]
+    return [FileChunk(file, known + k, index) for k, index in enumerate(indexes)]
 
 
 def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
@@ -88,19 +90,19 @@ def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
     return {channel.id: places[channel.topic] for channel in channels}
 
 
-def joined(found: list[Located]) -> Located:
+def join_rows(found: list[MessageRows]) -> MessageRows:
     """All rows as one record."""
     none = np.empty(0, np.int64)
-    blank = Located(none, none, none.reshape(0, 2), none, none)
-    return Located(*(np.concatenate(columns) for columns in zip(blank, *found, strict=True)))
+    blank = MessageRows(none, none, none.reshape(0, 2), none, none)
+    return MessageRows(*(np.concatenate(columns) for columns in zip(blank, *found, strict=True)))
 
 
-def chosen(rows: Located, which: BoolArray | IntArray) -> Located:
+def select_rows(rows: MessageRows, which: BoolArray | IntArray) -> MessageRows:
     """Some of the rows, by mask or indices."""
-    return Located(*(column[which] for column in rows))
+    return MessageRows(*(column[which] for column in rows))
 
 
-def content_of(part: Part) -> Bytes:
+def read_chunk(part: FileChunk) -> Bytes:
     """The unpacked records of a chunk; raises if it does not match its index."""
     stream, index = part.file.stream, part.chunk
     stream.seek(index.chunk_start_offset + _HEAD.size)
@@ -108,11 +110,11 @@ def content_of(part: Part) -> Bytes:
     stated = index.compression, index.compressed_size, index.uncompressed_size
     if stated != (chunk.compression, len(chunk.data), chunk.uncompressed_size):
         raise ValueError("a chunk that differs from its index")
-    records, size = get_chunk_data_stream(plain(chunk), validate_crc=True)
+    records, size = get_chunk_data_stream(decompress_chunk(chunk), validate_crc=True)
     return np.frombuffer(records.read(size), np.uint8)
 
 
-def indexed_in(part: Part, begin: int, end: int) -> Iterator[Indexed]:
+def read_indexes(part: FileChunk, begin: int, end: int) -> Iterator[ChannelIndex]:
     """The index of each wanted channel; the chunk lies between ``begin`` and ``end`` in the buffer."""
     stream, index = part.file.stream, part.chunk
     stream.seek(index.chunk_start_offset + index.chunk_length)
@@ -121,38 +123,44 @@ def indexed_in(part: Part, begin: int, end: int) -> Iterator[Indexed]:
         if channel in index.message_index_offsets:
             at = index.message_index_offsets[channel] - index.chunk_start_offset - index.chunk_length
             times = index.message_start_time, index.message_end_time
-            yield Indexed(_entries(data, at, channel), channel, topic, part.rank, begin, end, *times)
+            yield ChannelIndex(_entries(data, at, channel), channel, topic, part.rank, begin, end, *times)
 
 
-def messages_in(buffer: Bytes, indexed: list[Indexed]) -> Located:
+def locate_messages(buffer: Bytes, indexed: list[ChannelIndex]) -> MessageRows:
     """Positions of the messages, each checked against its index."""
     if not indexed:
-        return joined([])
+        return join_rows([])
     counts = [one.entries.size for one in indexed]
 
-    def of_each(name: str) -> IntArray:
+    def repeat_field(name: str) -> IntArray:
         return np.repeat(np.array([getattr(one, name) for one in indexed], dtype=np.int64), counts)
 
     entries = np.concatenate([one.entries for one in indexed])
-    log_times_ns, at = entries["log"].astype(np.int64), entries["offset"].astype(np.int64)
-    offsets, ends = of_each("begin") + at, of_each("end")
-    if ((at < 0) | (offsets + _MESSAGE.itemsize > ends)).any():
+    log_times_ns, chunk_offsets = entries["log"].astype(np.int64), entries["offset"].astype(np.int64)
+    offsets, ends = repeat_field("begin") + chunk_offsets, repeat_field("end")
+    if ((chunk_offsets < 0) | (offsets + _MESSAGE.itemsize > ends)).any():
         raise ValueError("an index beyond its chunk")
     heads = buffer[offsets[:, np.newaxis] + np.arange(_MESSAGE.itemsize)].view(_MESSAGE)[:, 0]
     lengths = heads["length"].astype(np.int64) - (_MESSAGE.itemsize - _HEAD.size)
     starts = offsets + _MESSAGE.itemsize
-    sound = (
+    is_valid = (
         (heads["opcode"] == int(Opcode.MESSAGE))
-        & (heads["channel"] == of_each("channel"))
+        & (heads["channel"] == repeat_field("channel"))
         & (heads["log"] == entries["log"])
         & (lengths >= 0)
         & (lengths <= ends - starts)
-        & (log_times_ns >= of_each("first_ns"))
-        & (log_times_ns <= of_each("last_ns"))
+        & (log_times_ns >= repeat_field("first_ns"))
+        & (log_times_ns <= repeat_field("last_ns"))
     )
-    if not sound.all() or np.unique(offsets).size < offsets.size:
+    if not is_valid.all() or np.unique(offsets).size < offsets.size:
         raise ValueError("an index of messages that are not there")
-    return Located(of_each("topic"), log_times_ns, np.column_stack((of_each("rank"), at)), starts, lengths)
+    return MessageRows(
+        repeat_field("topic"),
+        log_times_ns,
+        np.column_stack((repeat_field("rank"), chunk_offsets)),
+        starts,
+        lengths,
+    )
 
 
 def _entries(data: bytes, at: int, channel: int) -> NDArray[np.void]:

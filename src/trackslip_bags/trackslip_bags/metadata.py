@@ -12,8 +12,8 @@ import yaml
 METADATA = "metadata.yaml"  # in the directory of each bag
 METADATA_VERSION = 9  # Jazzy, Kilted
 
-MOST_TOPICS = 4096  # limit per bag; recordings have some hundreds
-MOST_FILES = 10_000  # limit per bag
+MAX_TOPICS = 4096  # limit per bag; recordings have some hundreds
+MAX_FILES = 10_000  # limit per bag
 _LARGEST = 16_000_000  # bytes, limit of the text
 _TIMES = (("starting_time", "nanoseconds_since_epoch"), ("duration", "nanoseconds"))
 _TOPICS, _FILES = "topics_with_message_count", "relative_file_paths"
@@ -70,8 +70,8 @@ def metadata_text(topics: Mapping[str, Topic], files: Mapping[str, Extent], dist
     information = {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
-        **_total(files.values()).as_yaml(),
-        "topics_with_message_count": [_topic(name, topic) for name, topic in topics.items()],
+        **_total_extent(files.values()).as_yaml(),
+        "topics_with_message_count": [_topic_entry(name, topic) for name, topic in topics.items()],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": list(files),
@@ -106,12 +106,12 @@ def check_metadata(bag: Path) -> None:
         time_ns = stated.get(name) if isinstance(stated, dict) else stated
         if type(time_ns) is not int or not 0 <= time_ns <= LATEST_NS:
             raise ValueError(f"{METADATA}: {group}: {time_ns!r:.40}; accepted: {name}, 0 to {LATEST_NS}")
-    _listed({"files": [], **information}, "files", MOST_FILES)
-    _check_topics(_listed(information, _TOPICS, MOST_TOPICS))
-    _check_files(bag, _listed(information, _FILES, MOST_FILES))
+    _read_list({"files": [], **information}, "files", MAX_FILES)
+    _check_topics(_read_list(information, _TOPICS, MAX_TOPICS))
+    _check_files(bag, _read_list(information, _FILES, MAX_FILES))
 
 
-def _listed(information: Mapping[str, Any], name: str, most: int) -> list[Any]:
+def _read_list(information: Mapping[str, Any], name: str, most: int) -> list[Any]:
     found = information.get(name)
     if not isinstance(found, list) or len(found) > most:
         size = f"{len(found)} entries" if isinstance(found, list) else "no list"
@@ -144,7 +144,7 @@ def _check_files(bag: Path, files: Iterable[Any]) -> None:
         seen.add((about.st_dev, about.st_ino))
 
 
-def _total(extents: Iterable[Extent]) -> Extent:
+def _total_extent(extents: Iterable[Extent]) -> Extent:
     total = Extent()
     for extent in extents:
         total.start_ns = min(total.start_ns, extent.start_ns)
@@ -153,7 +153,7 @@ def _total(extents: Iterable[Extent]) -> Extent:
     return total
 
 
-def _topic(name: str, topic: Topic) -> dict[str, Any]:
+def _topic_entry(name: str, topic: Topic) -> dict[str, Any]:
     return {
         "topic_metadata": {
             "name": name,

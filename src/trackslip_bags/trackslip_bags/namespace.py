@@ -7,17 +7,19 @@ from collections.abc import Collection, Iterator
 from trackslip_bags.sources import BagMessage, Source, TopicInfo
 from trackslip_common.errors import InputError
 
-_OF_ALL = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics outside of namespaces
+_GLOBAL_TOPICS = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics outside of namespaces
 
 
-class InNamespace:
+class NamespaceView:
     """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; topics of other machines are absent."""
 
     def __init__(self, source: Source, namespace: str) -> None:
         self.start_ns, self.end_ns = source.start_ns, source.end_ns
         self._source, self._topics = source, source.topics()
         prefix = f"/{namespace.strip('/')}/"
-        self._outside = {_shortened(t, prefix): t for t in self._topics if t.startswith((prefix, *_OF_ALL))}
+        self._outside = {
+            _name_in_namespace(t, prefix): t for t in self._topics if t.startswith((prefix, *_GLOBAL_TOPICS))
+        }
 
     def topics(self) -> dict[str, TopicInfo]:
         """Name within the namespace → information on the topic."""
@@ -46,5 +48,5 @@ def require_in_namespace(topics: Collection[str], namespace: str) -> None:
         raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
 
 
-def _shortened(topic: str, prefix: str) -> str:
+def _name_in_namespace(topic: str, prefix: str) -> str:
     return f"/{topic.removeprefix(prefix)}" if topic.startswith(prefix) else topic

@@ -63,35 +63,37 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
     """The same parameters under the current names."""
     values = {RENAMED.get(name, name): value for name, value in stated.items()}
     for kind, keys in SOURCE_LISTS.items():
-        topics = _topics(stated, kind)
+        topics = _sources_of_kind(stated, kind)
         for old, key in keys.items():
             if old in values:
-                values |= _one_each(topics, key, values.pop(old))
+                values |= _parameter_per_source(topics, key, values.pop(old))
     vehicle = {name: f"vehicle.{new}" for name, new in _VEHICLE.items() if f"vehicle.{name}" in values}
     values |= {new: values.pop(f"vehicle.{name}") for name, new in vehicle.items()}
     if len(vehicle) == len(_VEHICLE):
         values["vehicle.name"] = "unnamed"
-    poses, gyros = (_topics(stated, kind) for kind in _DEFAULTS)
+    poses, gyros = (_sources_of_kind(stated, kind) for kind in _DEFAULTS)
     if {"use_heading", "position_only"} & values.keys():
-        used, without = values.pop("use_heading", True), _listed(values.pop("position_only", ()))
-        values |= _one_each(poses, "use_heading", [used and topic not in without for topic in poses])
+        used, without = values.pop("use_heading", True), _as_list(values.pop("position_only", ()))
+        values |= _parameter_per_source(
+            poses, "use_heading", [used and topic not in without for topic in poses]
+        )
     if "yaw_rate_stddev" in values:
-        values |= _one_each(gyros, "stddev", [values.pop("yaw_rate_stddev")])
+        values |= _parameter_per_source(gyros, "stddev", [values.pop("yaw_rate_stddev")])
     return values
 
 
-def _topics(stated: Mapping[str, Any], kind: str) -> list[str]:
-    """The sources of a kind; items other than texts are ignored here, and refused by the later check."""
+def _sources_of_kind(stated: Mapping[str, Any], kind: str) -> list[str]:
+    """The sources of a kind; items other than texts are ignored here, and rejected by the later check."""
     given = stated.get(kind, _DEFAULTS.get(kind, ()))
-    return nonempty_names([topic for topic in _listed(given) if isinstance(topic, str)])
+    return nonempty_names([topic for topic in _as_list(given) if isinstance(topic, str)])
 
 
-def _listed(given: Any) -> Sequence[Any]:
+def _as_list(given: Any) -> Sequence[Any]:
     return given if isinstance(given, (list, tuple)) else [given]
 
 
-def _one_each(topics: Sequence[str], key: str, given: Any) -> dict[str, Any]:
+def _parameter_per_source(topics: Sequence[str], key: str, given: Any) -> dict[str, Any]:
     """One parameter per source from a list, or one value for all; excess sources or values are ignored."""
-    each = _listed(given)
+    each = _as_list(given)
     each = list(each) * len(topics) if len(each) == 1 else each
     return {f"sources.{group_name(topic)}.{key}": value for topic, value in zip(topics, each, strict=False)}

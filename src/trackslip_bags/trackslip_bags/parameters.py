@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from trackslip_bags.old_parameters import current_names
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.reader import Bag, absolute_name
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle import VehicleParameters
@@ -58,7 +58,7 @@ def namespaces(bag: Bag) -> list[str]:
     A bag without any of these topics counts as one machine without a namespace.
     """
     ends = [f"/{name}" for name in (TOPIC, PARAMETERS_TOPIC, _SPROCKETS)]
-    names = [absolute(name) if "/" not in name else name for name in bag.topics]
+    names = [absolute_name(name) if "/" not in name else name for name in bag.topics]
     within = {name.removesuffix(end) for name in names for end in ends if name.endswith(end)}
     return sorted({name.strip("/") for name in within if not name or name.startswith("/")}) or [""]
 

@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.manual_poses import input_names
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.reader import Bag, absolute_name
 
 # Outputs of the estimators of the live graph, and topics that belong to the graph, not to the bag.
 OWN_OUTPUTS = frozenset(
@@ -37,7 +37,7 @@ OWN_OUTPUTS = frozenset(
 CLOCK = "clock"  # published by the player
 
 
-class Played(NamedTuple):
+class PlayedMessage(NamedTuple):
     """One message to publish; ``raw`` is its CDR form."""
 
     topic: str
@@ -47,31 +47,35 @@ class Played(NamedTuple):
 
 def played_topics(bag: Bag, filters: InputFilters, also: Collection[str]) -> dict[str, str]:
     """Name to publish under → type: topics of the bag without ``OWN_OUTPUTS``, except those in ``also``."""
-    barred = (OWN_OUTPUTS - {relative(topic) for topic in also}) | {CLOCK}
+    barred = (OWN_OUTPUTS - {relative_name(topic) for topic in also}) | {CLOCK}
     return {
-        _published(name, filters): bag.topics[topic].type_name
+        _published_name(name, filters): bag.topics[topic].type_name
         for topic, name in input_names(bag).items()
         if name not in barred
     }
 
 
-def played(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator[Played]:
+def played_messages(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator[PlayedMessage]:
     """The messages to publish under these names, in log order, without withheld ones."""
-    names = {topic: _published(name, filters) for topic, name in input_names(bag).items()}
+    names = {topic: _published_name(name, filters) for topic, name in input_names(bag).items()}
     requested = [topic for topic, name in names.items() if name in topics]
     start_ns = bag.start_ns + round(filters.start_s * 1e9)
     stop_ns = bag.start_ns + round(filters.stop_s * 1e9) if math.isfinite(filters.stop_s) else None
     for message in bag.messages(requested, start_ns, stop_ns):
         name = names[message.topic]
-        if not filters.hides(relative(name), (message.log_time_ns - bag.start_ns) * 1e-9):
-            yield Played(name, message.log_time_ns, message.raw)
+        if not filters.is_withheld(relative_name(name), (message.log_time_ns - bag.start_ns) * 1e-9):
+            yield PlayedMessage(name, message.log_time_ns, message.raw)
 
 
 class Playback:
     """Playback of a bag. Wall times are seconds of any monotonic clock."""
 
     def __init__(
-        self, messages: Callable[[], Iterator[Played]], rate: float, paused: bool = False, loop: bool = False
+        self,
+        messages: Callable[[], Iterator[PlayedMessage]],
+        rate: float,
+        paused: bool = False,
+        loop: bool = False,
     ) -> None:
         self.paused = paused
         self.counts: Counter[str] = Counter()  # messages played, by topic
@@ -80,12 +84,12 @@ class Playback:
         self._rate = rate
         self._loop = loop
         self._now_s: float | None = None
-        self._messages: Iterator[Played] = iter(())
-        self._next: Played | None = None
+        self._messages: Iterator[PlayedMessage] = iter(())
+        self._next: PlayedMessage | None = None
         self._rewind()
 
     @property
-    def finished(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether all messages are played."""
         return self._next is None
 
@@ -94,7 +98,7 @@ class Playback:
         """Current log time, at most that of the next message or of the end."""
         return self._played_ns if self._next is None else min(self._due_ns, self._next.log_time_ns)
 
-    def due(self, now_s: float) -> Iterator[Played]:
+    def due_messages(self, now_s: float) -> Iterator[PlayedMessage]:
         """Advance to now; yield the messages that are due. Messages not consumed stay due."""
         if self._now_s is not None and not self.paused:
             self._due_ns += round((now_s - self._now_s) * self._rate * 1e9)
@@ -114,5 +118,5 @@ class Playback:
             self._due_ns = self._next.log_time_ns
 
 
-def _published(name: str, filters: InputFilters) -> str:
-    return absolute(filters.remap.get(name, name))
+def _published_name(name: str, filters: InputFilters) -> str:
+    return absolute_name(filters.remap.get(name, name))

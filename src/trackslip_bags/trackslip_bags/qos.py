@@ -4,7 +4,7 @@
 
 import yaml
 
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
 _DEPTH = 10
 
 
@@ -15,10 +15,10 @@ def offered_qos(latched: bool) -> str:
         "depth": 1 if latched else _DEPTH,
         "reliability": "reliable",
         "durability": "transient_local" if latched else "volatile",
-        "deadline": dict(_FOREVER),
-        "lifespan": dict(_FOREVER),
+        "deadline": dict(_INFINITE),
+        "lifespan": dict(_INFINITE),
         "liveliness": "automatic",
-        "liveliness_lease_duration": dict(_FOREVER),
+        "liveliness_lease_duration": dict(_INFINITE),
         "avoid_ros_namespace_conventions": False,
     }
     return yaml.safe_dump([profile], sort_keys=False, default_flow_style=False)

@@ -16,7 +16,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.metadata import METADATA, check_metadata
-from trackslip_bags.namespace import InNamespace, require_in_namespace
+from trackslip_bags.namespace import NamespaceView, require_in_namespace
 from trackslip_bags.sources import (
     BagMessage,
     Source,
@@ -25,7 +25,7 @@ from trackslip_bags.sources import (
     bag_files,
     begins_with,
     error_line,
-    merged,
+    merge_topics,
     open_file,
 )
 from trackslip_bags.types import decode, store_for
@@ -50,7 +50,7 @@ class Bag:
         self.files = files
         self.sources = sources
         self._stores: dict[str, Typestore] = {}
-        self.topics: dict[str, TopicInfo] = merged(source.topics() for source in sources)
+        self.topics: dict[str, TopicInfo] = merge_topics(source.topics() for source in sources)
         filled = [source for source in sources if source.end_ns >= source.start_ns]
         self.start_ns = min((source.start_ns for source in filled), default=0)
         self.end_ns = max((source.end_ns for source in filled), default=0)
@@ -81,8 +81,10 @@ class Bag:
         Raises:
             InputError: the bag is damaged inside.
         """
-        names = None if topics is None else {absolute(topic) for topic in topics}
-        requested = None if names is None else {topic for topic in self.topics if absolute(topic) in names}
+        names = None if topics is None else {absolute_name(topic) for topic in topics}
+        requested = (
+            None if names is None else {topic for topic in self.topics if absolute_name(topic) in names}
+        )
         first = self.start_ns if start_ns is None else start_ns
         stop = self.end_ns + 1 if stop_ns is None else stop_ns
         parts = [source.messages(requested, first, stop) for source in self.sources]
@@ -159,7 +161,7 @@ def in_namespace(bag: Bag, namespace: str) -> Bag:
         InputError: the namespace has no topics.
     """
     require_in_namespace(bag.topics, namespace)
-    return Bag(bag.path, [InNamespace(source, namespace) for source in bag.sources], bag.damage)
+    return Bag(bag.path, [NamespaceView(source, namespace) for source in bag.sources], bag.damage)
 
 
 def _open(path: Path | str) -> Bag:
@@ -221,8 +223,8 @@ def require_topics(bag: Bag, required: Iterable[str]) -> None:
     Raises:
         InputError: topics are missing or empty; names them and the existing ones.
     """
-    present = {absolute(topic) for topic, info in bag.topics.items() if info.count}
-    missing = sorted(absolute(topic) for topic in required if absolute(topic) not in present)
+    present = {absolute_name(topic) for topic, info in bag.topics.items() if info.count}
+    missing = sorted(absolute_name(topic) for topic in required if absolute_name(topic) not in present)
     if missing:
         there = (
             did_you_mean(missing[0], present) or f"; it holds: {joined_names(sorted(present)) or 'nothing'}"
@@ -230,6 +232,6 @@ def require_topics(bag: Bag, required: Iterable[str]) -> None:
         raise InputError(f"bag '{bag.path}' has no messages on {', '.join(missing)}{there}")
 
 
-def absolute(topic: str) -> str:
+def absolute_name(topic: str) -> str:
     """The absolute form of a topic name; relative names are those of the root namespace."""
     return topic if topic.startswith("/") else f"/{topic}"

@@ -16,22 +16,22 @@ from typing import Protocol
 from trackslip_bags.disk import (
     LIBRARY,
     DiskWatch,
+    files_over_budget,
     is_recording,
     recorded_files,
     remove_recorded,
     sync_file,
-    too_many,
 )
 from trackslip_bags.progress import RecordProgress
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 
-_LONGEST_REPAIR_NS = 5_000_000_000  # heartbeats repair losses every 3 s; more is a clock change
+_MAX_REPAIR_NS = 5_000_000_000  # heartbeats repair losses every 3 s; more is a clock change
 _TRIM_PERIOD = 5.0  # s
 
 
-class DeliveryOrder:
+class LogTimes:
     """Log times that do not decrease within a topic when lost messages are resent.
 
     A reliable publisher resends lost messages. Messages sent later are held back until then, so messages are
@@ -41,10 +41,10 @@ class DeliveryOrder:
     def __init__(self) -> None:
         self._newest_ns: dict[str, int] = {}
 
-    def after_all_before(self, topic: str, came_ns: int) -> int:
+    def log_time_ns(self, topic: str, came_ns: int) -> int:
         """Log time of a message delivered now and received at ``came_ns``."""
         newest_ns = self._newest_ns.get(topic, came_ns)
-        if 0 < newest_ns - came_ns < _LONGEST_REPAIR_NS:
+        if 0 < newest_ns - came_ns < _MAX_REPAIR_NS:
             return newest_ns
         self._newest_ns[topic] = came_ns
         return came_ns
@@ -61,7 +61,7 @@ class Losses:
         self._next: dict[tuple[str, bytes], int] = {}
         self._new: Counter[str] = Counter()
 
-    def see(self, topic: str, publisher: bytes, number: int) -> None:
+    def count_gap(self, topic: str, publisher: bytes, number: int) -> None:
         """Account for a message with its publisher's sequence number."""
         gap = number - self._next.get((topic, publisher), number)
         self._next[topic, publisher] = number + 1
@@ -73,7 +73,7 @@ class Losses:
             self.total[topic] += count
             self._new[topic] += count
 
-    def news(self) -> str:
+    def new_losses_text(self) -> str:
         """Text on the messages lost since the last call; empty without losses."""
         text = ", ".join(f"{count} messages of {topic}" for topic, count in sorted(self._new.items()))
         self._new.clear()
@@ -116,19 +116,19 @@ class Recording:
         self._settings, self._log = settings, log
         self.bag = _next_bag(settings)
         self.losses, self.disk_error = Losses(), ""
-        self._order, self._space = DeliveryOrder(), DiskWatch()
+        self._log_times, self._disk_watch = LogTimes(), DiskWatch()
         self._progress = RecordProgress(self.bag, log.info)
-        self._disk, self._saving = ThreadPoolExecutor(1), _nothing_to_save()
+        self._disk, self._saving = ThreadPoolExecutor(1), _finished_future()
         self._trimmed_s = 0.0
 
     @property
     def minutes_left(self) -> float | None:
         """Minutes until the disk is full; None if unknown."""
-        return self._space.minutes_left
+        return self._disk_watch.minutes_left
 
     def write(self, topic: str, type_name: str, data: bytes, came_ns: int, sent_ns: int | None) -> None:
         """Write one serialized message; it counts as lost if the disk fails."""
-        came_ns = self._order.after_all_before(topic, came_ns)
+        came_ns = self._log_times.log_time_ns(topic, came_ns)
         if not self._try_on_disk(partial(self.bag.write, topic, type_name, data, came_ns, sent_ns)):
             self.losses.add(topic, 1)
 
@@ -139,9 +139,9 @@ class Recording:
             self._saving = self._disk.submit(sync_file, self.bag.file)
         if not self.disk_error:
             self._try_on_disk(self._keep_to_budget)
-            self._space.add(shutil.disk_usage(self.bag.path).free)
+            self._disk_watch.add(shutil.disk_usage(self.bag.path).free)
         self._progress.show(self.minutes_left)
-        if lost := self.losses.news():
+        if lost := self.losses.new_losses_text():
             self._log.error(f"lost {lost}")
 
     def close(self) -> None:
@@ -159,7 +159,9 @@ class Recording:
         if not most or now_s - self._trimmed_s < _TRIM_PERIOD:
             return
         self._trimmed_s = now_s
-        for file in too_many(list(recorded_files(bag.path.parent)), most, bag.path, bag.file, time.time()):
+        for file in files_over_budget(
+            list(recorded_files(bag.path.parent)), most, bag.path, bag.file, time.time()
+        ):
             self._log.warning(f"max_disk: {file} is removed")
             bag.remove_file(file.name) if file.parent == bag.path else remove_recorded(file)
 
@@ -198,7 +200,7 @@ def _next_bag(settings: RecordParameters) -> BagWriter:
         candidate = path.with_name(f"{path.name}_{number}")
 
 
-def _nothing_to_save() -> Future[None]:
+def _finished_future() -> Future[None]:
     done: Future[None] = Future()
     done.set_result(None)
     return done

@@ -15,14 +15,14 @@ from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
 from trackslip_bags import sqlite_files, unpacking
-from trackslip_bags.metadata import MOST_TOPICS
+from trackslip_bags.metadata import MAX_TOPICS
 from trackslip_bags.recovery.salvage import Salvage, salvage
 
 PACKED = ".zstd"
 _FILES = ("*.mcap", "*.db3", f"*.mcap{PACKED}", f"*.db3{PACKED}")
 
 unpacking.limit_rosbags()
-sqlite_files.read_companions()
+sqlite_files.use_companion_files()
 
 
 class BagMessage(NamedTuple):
@@ -68,15 +68,15 @@ class WholeBag:
 
     def __init__(self, path: Path) -> None:
         for packed in path.glob("*.zstd"):
-            unpacking.unpack_file(packed)
+            unpacking.decompress_file(packed)
         self._reader = Reader(path)
         self._reader.open()
         count = len(self.topics())
-        if count > MOST_TOPICS:
+        if count > MAX_TOPICS:
             self._reader.close()
-            raise ValueError(f"{count} topics; accepted: up to {MOST_TOPICS}")
+            raise ValueError(f"{count} topics; accepted: up to {MAX_TOPICS}")
         self._packed = self._reader.compression_mode == "message"
-        self._packed |= path.is_file() and self._begins_packed()
+        self._packed |= path.is_file() and self._has_packed_messages()
         spans = [s.metadata for s in _storages(self._reader) if s.metadata.message_count]
         self.start_ns = min((span.start_time for span in spans), default=0)
         self.end_ns = max((span.end_time for span in spans), default=0) - 1
@@ -84,9 +84,9 @@ class WholeBag:
 
     def topics(self) -> dict[str, TopicInfo]:
         of_files = [c for storage in _storages(self._reader) for c in storage.connections]
-        held = merged({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in of_files)
-        stated = merged({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in self._reader.connections)
-        return merged((held, stated))
+        held = merge_topics({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in of_files)
+        stated = merge_topics({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in self._reader.connections)
+        return merge_topics((held, stated))
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         for storage in _storages(self._reader):
@@ -94,9 +94,11 @@ class WholeBag:
             if not connections:
                 continue
             for connection, time_ns, raw in storage.messages(connections, start_ns, stop_ns):
-                yield BagMessage(connection.topic, connection.msgtype, time_ns, unpacking.message(raw))
+                yield BagMessage(
+                    connection.topic, connection.msgtype, time_ns, unpacking.decompress_message(raw)
+                )
 
-    def _begins_packed(self) -> bool:
+    def _has_packed_messages(self) -> bool:
         """Whether messages are compressed one by one; files do not state it, only metadata.yaml does."""
         try:
             return any(unpacking.is_packed(raw) for _, _, raw in islice(self._reader.messages(), 1))
@@ -132,7 +134,7 @@ class SalvagedFile:
         counts = dict.fromkeys(self._content.topics, 0)
         for _, channel, _ in self._content.messages:
             counts[channel] += 1
-        return merged(
+        return merge_topics(
             {topic.topic: TopicInfo(topic.type_name, counts[channel], topic.definition)}
             for channel, topic in self._content.topics.items()
         )
@@ -194,23 +196,23 @@ def _open_packed(path: Path) -> tuple[Source | None, str]:
         plain = Path(folder, path.stem)
         try:
             with plain.open("wb") as output:
-                unpacking.unpack_file(path, output)
+                unpacking.decompress_file(path, output)
         except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the library)
             return None, f"{path.name}: {error_line(error)}"
         return open_file(plain)
 
 
-def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
+def merge_topics(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
     """Topics of all parts, counts added."""
     topics: dict[str, TopicInfo] = {}
     for part in parts:
         for name, info in part.items():
             known = topics.get(name)
-            topics[name] = info if known is None else _together(known, info)
+            topics[name] = info if known is None else _merge_infos(known, info)
     return topics
 
 
-def _together(known: TopicInfo, info: TopicInfo) -> TopicInfo:
+def _merge_infos(known: TopicInfo, info: TopicInfo) -> TopicInfo:
     """Combined information of two parts of a bag on one topic."""
     types = {known.type_name, info.type_name, *known.other_types, *info.other_types}
     return replace(known, count=known.count + info.count, other_types=frozenset(types - {known.type_name}))

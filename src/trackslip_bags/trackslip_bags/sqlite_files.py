@@ -20,7 +20,7 @@ _PREFIX, _IMMUTABLE = "file:", "?immutable=1"  # of the URI that rosbags uses
 MAGIC = b"SQLite format 3\0"
 
 
-def address(path: Path) -> str:
+def database_uri(path: Path) -> str:
     """The URI that opens a database for reading.
 
     Without companion files the database opens as immutable, which works on read-only media.
@@ -30,15 +30,15 @@ def address(path: Path) -> str:
     return f"{_PREFIX}{quote(str(path.absolute()))}{'?mode=ro' if has_companion else _IMMUTABLE}"
 
 
-def read_companions() -> None:
-    """Make rosbags open databases by ``address``."""
+def use_companion_files() -> None:
+    """Make rosbags open databases by ``database_uri``."""
     names = {**vars(_SQLITE), "Connection": _connection}
     setattr(storage_sqlite3, _NAME, SimpleNamespace(**names))
 
 
 def _connection(uri: str, flags: int, vfs: str | None = None) -> Any:
     path = Path(uri.removeprefix(_PREFIX).removesuffix(_IMMUTABLE))
-    connection = _SQLITE.Connection(address(path), flags=flags, vfs=vfs)
+    connection = _SQLITE.Connection(database_uri(path), flags=flags, vfs=vfs)
     try:
         connection.execute("SELECT count(*) FROM sqlite_master")
     except _SQLITE.ReadOnlyError as error:

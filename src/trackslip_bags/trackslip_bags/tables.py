@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trackslip_bags.chunks import read_stretches
 from trackslip_bags.mcap_index import Bytes
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.reader import Bag, absolute_name
 from trackslip_bags.types import fields_by
 from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.errors import InputError
@@ -102,17 +102,19 @@ class TopicTable:
         for length in np.unique(self._lengths).tolist():
             left = np.flatnonzero(self._lengths == length)
             for layout in self._topic.layouts(length):
-                left = left[~self._fill(rows, kind, layout, left)]
+                left = left[~self._fill_matching(rows, kind, layout, left)]
             while left.size:
                 layout_of_first = self._topic.layout_of(self.raw(int(left[0])))
                 if layout_of_first is None:
-                    self._fill_one(rows, kind, int(left[0]))
+                    self._fill_row(rows, kind, int(left[0]))
                     left = left[1:]
                 else:
-                    left = left[~self._fill(rows, kind, layout_of_first, left)]
+                    left = left[~self._fill_matching(rows, kind, layout_of_first, left)]
         return rows
 
-    def _fill(self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray) -> BoolArray:
+    def _fill_matching(
+        self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray
+    ) -> BoolArray:
         """Fill the rows of messages ``left`` (m,) that have this layout; returns their mask (m,)."""
         starts = self._starts[left]
         matching = layout.matches(self._buffer, starts)
@@ -122,15 +124,15 @@ class TopicTable:
                 try:
                     rows[name][members] = layout.column(place, self._buffer, starts, self._topic.number_of)
                 except KeyError:
-                    raise self._topic.lacks(place.path) from None
+                    raise self._topic.missing_field_error(place.path) from None
         return matching
 
-    def _fill_one(self, rows: NDArray[np.void], kind: RecordClass, k: int) -> None:
+    def _fill_row(self, rows: NDArray[np.void], kind: RecordClass, k: int) -> None:
         message = self.message(k)
         try:
             values = read(kind, message)
         except (AttributeError, IndexError) as error:
-            raise self._topic.lacks(str(error)) from error
+            raise self._topic.missing_field_error(str(error)) from error
         for name, value in zip(selectors_of(kind), values, strict=True):
             rows[name][k] = self._topic.number_of(value) if isinstance(value, str) else value
 
@@ -167,7 +169,7 @@ class _Topic:
             self.texts.append(text)
         return self._numbers[text]
 
-    def lacks(self, field: str) -> InputError:
+    def missing_field_error(self, field: str) -> InputError:
         """The error for a field missing in the type."""
         return InputError(f"bag '{self.bag.path}': {self.topic} is a {self.type_name} without {field}")
 
@@ -184,8 +186,8 @@ def read_tables(
     Raises:
         InputError: the bag is damaged inside.
     """
-    names = {absolute(topic) for topic in topics}
-    known = [_Topic(bag, topic) for topic in bag.topics if absolute(topic) in names]
+    names = {absolute_name(topic) for topic in topics}
+    known = [_Topic(bag, topic) for topic in bag.topics if absolute_name(topic) in names]
     for found in read_stretches(bag, [topic.topic for topic in known], start_ns, stop_ns):
         tables = {}
         for number, topic in enumerate(known):

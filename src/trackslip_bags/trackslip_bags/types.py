@@ -22,18 +22,18 @@ from trackslip_common.errors import InputError
 from trackslip_common.layout import ANY_LENGTH, CDR_HEADER, CDR_SLACK, Field, FieldsOf
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
-_MOST_VALUES = 1_000_000  # limit of values of a message with empty lists
+_MAX_VALUES = 1_000_000  # limit of values of a message with empty lists
 
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """The process' store of types; ``ensure`` adds to it."""
+    """The process' store of types; ``ensure_type`` adds to it."""
     name = f"ros2_{ros_distro()}"
     known = name in {store.value for store in Stores}
     return get_typestore(Stores(name if known else f"ros2_{DEFAULT_DISTRO}"))
 
 
-def ensure(type_name: str) -> Typestore:
+def ensure_type(type_name: str) -> Typestore:
     """The store, after adding ``type_name`` and its inner types if unknown.
 
     Raises:
@@ -42,7 +42,7 @@ def ensure(type_name: str) -> Typestore:
     store = typestore()
     if type_name not in store.fielddefs:
         found: Typesdict = {}
-        _collect(type_name, store, found)
+        _collect_types(type_name, store, found)
         store.register(found)
     return store
 
@@ -53,7 +53,7 @@ def schema_text(type_name: str) -> str:
     Raises:
         InputError: the type is unknown.
     """
-    text, _ = ensure(type_name).generate_msgdef(type_name, ros_version=2)
+    text, _ = ensure_type(type_name).generate_msgdef(type_name, ros_version=2)
     return text
 
 
@@ -63,7 +63,7 @@ def type_hash(type_name: str) -> str:
     Raises:
         InputError: the type is unknown.
     """
-    return ensure(type_name).hash_rihs01(type_name)
+    return ensure_type(type_name).hash_rihs01(type_name)
 
 
 def known_schema(type_name: str) -> Schema:
@@ -87,7 +87,7 @@ def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
         ValueError: the definition is recursive or very large.
     """
     if definition.format == MessageDefinitionFormat.NONE:
-        return ensure(type_name)
+        return ensure_type(type_name)
     defined = _parse(type_name, definition)
     check_finite(defined)
     own = get_typestore(Stores.EMPTY)
@@ -137,11 +137,11 @@ def check_finite(types: Typesdict) -> None:
     """
     known: dict[str, int] = {}
     for name in types:
-        if _values_of(name, types, known) > _MOST_VALUES:
-            raise ValueError(f"type {name}: too large; accepted: up to {_MOST_VALUES} values of fixed number")
+        if _count_values(name, types, known) > _MAX_VALUES:
+            raise ValueError(f"type {name}: too large; accepted: up to {_MAX_VALUES} values of fixed number")
 
 
-def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple[str, ...] = ()) -> int:
+def _count_values(name: str, types: Typesdict, known: dict[str, int], inside: tuple[str, ...] = ()) -> int:
     """Minimum number of values in a message of a type; ``known`` caches the numbers of other types."""
     if name in inside:
         raise ValueError(f"type {name}: it contains itself; accepted: a type of others")
@@ -153,13 +153,13 @@ def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple
                 inner, count = detail
                 size = int(count) if kind == Nodetype.ARRAY else 0
                 kind, detail = inner
-            of_one = _values_of(str(detail), types, known, (*inside, name)) if kind == Nodetype.NAME else 1
+            of_one = _count_values(str(detail), types, known, (*inside, name)) if kind == Nodetype.NAME else 1
             values += size * of_one
         known[name] = values
     return known[name]
 
 
-def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
+def _collect_types(type_name: str, store: Typestore, found: Typesdict) -> None:
     """Add to ``found`` the type and its inner types that are not in ``store``."""
     path = msg_file(type_name)
     if path is None:
@@ -173,7 +173,7 @@ def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
         raise InputError(f"{path}: not a message definition ({' '.join(str(error).split())})") from error
     for inner in _inner_types(found, type_name):
         if inner not in store.fielddefs and inner not in found:
-            _collect(inner, store, found)
+            _collect_types(inner, store, found)
 
 
 def _inner_types(types: Typesdict, name: str) -> list[str]:

@@ -15,12 +15,12 @@ import zstandard
 from mcap.records import Chunk
 from rosbags.rosbag2 import storage_mcap
 
-LARGEST = 128_000_000  # bytes of a chunk; recorders write 1 to 10 MB, reading takes seven times that
+MAX_SIZE = 128_000_000  # bytes of a chunk; recorders write 1 to 10 MB, reading takes seven times that
 _RATIO = 200  # limit of a file's compression ratio; recordings reach some 20
 _PIECE = 1 << 20  # bytes decompressed at once
 
 
-def _as_it_is(data: bytes, _: int) -> bytes:
+def _stored(data: bytes, _: int) -> bytes:
     return data
 
 
@@ -39,18 +39,18 @@ def _bz2(data: bytes, most: int) -> bytes:
 
 
 _KINDS: Mapping[str, Callable[[bytes, int], bytes]] = MappingProxyType(
-    {"": _as_it_is, "lz4": _lz4, "zstd": _zstd}
+    {"": _stored, "lz4": _lz4, "zstd": _zstd}
 )
 
 
-def unpacked(data: bytes, compression: str, size: int) -> bytes:
+def decompress(data: bytes, compression: str, size: int) -> bytes:
     """The decompressed content of a chunk with the stated ``size``, bytes.
 
     Raises:
         ValueError: the stated size is too large or wrong, or the compression is unknown.
     """
-    if size > LARGEST:
-        raise ValueError(f"a chunk of {size / 1e6:.0f} MB; accepted: up to {LARGEST / 1e6:.0f} MB")
+    if size > MAX_SIZE:
+        raise ValueError(f"a chunk of {size / 1e6:.0f} MB; accepted: up to {MAX_SIZE / 1e6:.0f} MB")
     if compression not in _KINDS:
         raise ValueError(f"a chunk of compression '{compression}'; accepted: lz4, zstd or none")
     content = _KINDS[compression](data, size + 1)
@@ -59,13 +59,13 @@ def unpacked(data: bytes, compression: str, size: int) -> bytes:
     return content
 
 
-def plain(chunk: Chunk) -> Chunk:
+def decompress_chunk(chunk: Chunk) -> Chunk:
     """A chunk with decompressed records.
 
     Raises:
-        ValueError: as ``unpacked``.
+        ValueError: as ``decompress``.
     """
-    data = unpacked(chunk.data, chunk.compression, chunk.uncompressed_size)
+    data = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
     return replace(chunk, compression="", data=data)
 
 
@@ -74,30 +74,30 @@ def is_packed(data: bytes) -> bool:
     return data.startswith(zstandard.FRAME_HEADER)
 
 
-def message(data: bytes) -> bytes:
+def decompress_message(data: bytes) -> bytes:
     """A message, decompressed if it was compressed by itself.
 
     Raises:
-        ValueError: it decompresses to more than ``LARGEST``.
+        ValueError: it decompresses to more than ``MAX_SIZE``.
     """
-    return _limited("message", _zstd, data) if is_packed(data) else data
+    return _decompress_limited("message", _zstd, data) if is_packed(data) else data
 
 
-def _limited(what: str, unpack: Callable[[bytes, int], bytes], data: bytes) -> bytes:
-    content = unpack(data, LARGEST + 1)
-    if len(content) > LARGEST:
-        raise ValueError(f"a {what} that unpacks to more than {LARGEST / 1e6:.0f} MB")
+def _decompress_limited(what: str, unpack: Callable[[bytes, int], bytes], data: bytes) -> bytes:
+    content = unpack(data, MAX_SIZE + 1)
+    if len(content) > MAX_SIZE:
+        raise ValueError(f"a {what} that unpacks to more than {MAX_SIZE / 1e6:.0f} MB")
     return content
 
 
-def unpack_file(path: Path, output: IO[bytes] | None = None) -> None:
+def decompress_file(path: Path, output: IO[bytes] | None = None) -> None:
     """Decompress a file that was compressed as a whole (``.zstd``); without ``output`` only check its size.
 
     Raises:
-        ValueError: the size exceeds ``LARGEST`` and ``_RATIO`` times the file's size.
+        ValueError: the size exceeds ``MAX_SIZE`` and ``_RATIO`` times the file's size.
     """
     packed = path.stat().st_size
-    most, size = max(LARGEST, _RATIO * packed), 0
+    most, size = max(MAX_SIZE, _RATIO * packed), 0
     with path.open("rb") as file:
         stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
         while piece := stream.read(_PIECE):
@@ -109,15 +109,17 @@ def unpack_file(path: Path, output: IO[bytes] | None = None) -> None:
 
 
 def limit_rosbags() -> None:
-    """Make rosbags, which has no limit, decompress chunks by ``unpacked``."""
+    """Make rosbags, which has no limit, decompress chunks by ``decompress``."""
     for kind in _KINDS:
-        storage_mcap.DECOMPRESSORS[kind] = partial(_named, kind)
+        storage_mcap.DECOMPRESSORS[kind] = partial(_decompress_named, kind)
 
 
-def of_ros1() -> dict[str, Callable[[bytes], bytes]]:
-    """Compression → function that decompresses a chunk of a ROS 1 bag; ``ValueError`` beyond ``LARGEST``."""
-    return {kind: partial(_limited, "chunk", unpack) for kind, unpack in (("bz2", _bz2), ("lz4", _lz4))}
+def ros1_decompressors() -> dict[str, Callable[[bytes], bytes]]:
+    """Compression → function that decompresses a chunk of a ROS 1 bag; ``ValueError`` beyond ``MAX_SIZE``."""
+    return {
+        kind: partial(_decompress_limited, "chunk", unpack) for kind, unpack in (("bz2", _bz2), ("lz4", _lz4))
+    }
 
 
-def _named(compression: str, data: bytes, size: int) -> bytes:
-    return unpacked(data, compression, size)
+def _decompress_named(compression: str, data: bytes, size: int) -> bytes:
+    return decompress(data, compression, size)

@@ -39,10 +39,10 @@ def refuse_existing(path: Path | None) -> None:
         InputError: the path exists.
     """
     if path is not None and (path.exists() or path.is_symlink()):
-        raise _exists(path)
+        raise _exists_error(path)
 
 
-def _exists(path: Path) -> InputError:
+def _exists_error(path: Path) -> InputError:
     return InputError(f"bag '{path}' exists already; accepted: a path that does not exist")
 
 
@@ -89,13 +89,13 @@ class BagWriter:
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:
-            raise _exists(self.path) from None
+            raise _exists_error(self.path) from None
         except OSError as error:
             raise InputError(f"bag '{self.path}' cannot be created ({error.strerror})") from error
         try:
             self._begin_file()
         except OSError as error:
-            self._remove()
+            self._remove_directory()
             raise InputError(f"bag '{self.path}' cannot be written ({error.strerror})") from error
 
     def add_topic(self, topic: str, type_name: str, qos_yaml: str = "", schema: Schema | None = None) -> None:
@@ -223,10 +223,10 @@ class BagWriter:
             failed = at_the_end
         if failed is not None:
             self.abandon()
-            self._remove()
+            self._remove_directory()
             raise InputError(f"bag '{self.path}' cannot be written ({failed.strerror})") from failed
 
-    def _remove(self) -> None:
+    def _remove_directory(self) -> None:
         """Remove the directory, which was created here, with its content."""
         shutil.rmtree(self.path, ignore_errors=True)
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.bag_rows import NO_JOINTS, READERS, Row, refusals, sides_of, values_of
+from trackslip_bags.importing.bag_rows import NO_JOINTS, READERS, Row, rejections, sides_of, values_of
 from trackslip_bags.importing.joints import PARTIAL, JointsByStamp
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
-from trackslip_bags.importing.robot_bags import Logged, RobotLog, Ros1Bags, Ros2Bag
+from trackslip_bags.importing.robot_bags import LoggedMessage, RobotLog, Ros1Bags, Ros2Bag
 from trackslip_bags.importing.roles import JOINTS, ROLES
 from trackslip_bags.importing.samples import Samples
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA
-from trackslip_bags.reader import absolute, open_bag
+from trackslip_bags.reader import absolute_name, open_bag
 from trackslip_bags.sources import error_line
 from trackslip_common.errors import InputError, did_you_mean
 
@@ -43,21 +43,21 @@ def read_bag_log(
     """
     if all(path.name.endswith(_ROS1) and path.is_file() for path in paths):
         with Ros1Bags(paths) as ros1:
-            return _read(ros1, topics, local), []
+            return _read_samples(ros1, topics, local), []
     if len(paths) > 1:
         accepted = "one, or several .bag files of ROS 1 (a split recording of ROS 2: its directory)"
         raise InputError(f"{len(paths)} bags; accepted: {accepted}")
     with open_bag(paths[0]) as bag:
-        return _read(Ros2Bag(bag), topics, local), [f"damaged: {bag.damage}"] if bag.damage else []
+        return _read_samples(Ros2Bag(bag), topics, local), [f"damaged: {bag.damage}"] if bag.damage else []
 
 
-def _read(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) -> list[Samples]:
+def _read_samples(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) -> list[Samples]:
     """Samples of each topic, by one pass over the bag."""
     types = log.types
     collectors = [_Collector(log, topic, _type_of(log, topic, types)) for topic in topics]
     by_source: dict[str, list[_Collector]] = {}
     for collector in collectors:
-        by_source.setdefault(absolute(collector.topic.source), []).append(collector)
+        by_source.setdefault(absolute_name(collector.topic.source), []).append(collector)
     for message in log.read(list(by_source)):
         for collector in by_source[message.topic]:
             collector.add(message)
@@ -66,7 +66,7 @@ def _read(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) -> list[
 
 def _type_of(log: RobotLog, topic: BagTopic, types: dict[str, str] | Any) -> str:
     """The type of a topic; it must be one that its role accepts."""
-    source = absolute(topic.source)
+    source = absolute_name(topic.source)
     if source not in types:
         like, there = did_you_mean(source, types), ", ".join(sorted(types)) or "nothing"
         raise InputError(f"{topic.where}.from: no topic '{source}' in {log.path}{like}; it holds: {there}")
@@ -82,44 +82,44 @@ class _Collector:
 
     def __init__(self, log: RobotLog, topic: BagTopic, type_name: str) -> None:
         self.topic, self._type_name, self._log = topic, type_name, log
-        self._read = READERS[topic.role, type_name]
+        self._read_message = READERS[topic.role, type_name]
         self._rows: list[Row] = []
         self._times: list[tuple[int, int]] = []  # stamp, log time
         self._frames: list[str] = []
         self._left_out: Counter[str] = Counter()
-        self._seen: dict[str, None] = {}  # joints of unusable messages
+        self._unused_joints: dict[str, None] = {}  # joints of unusable messages
         sides = sides_of(topic) if type_name == JOINTS else ()
         self._joints = JointsByStamp({name for side in sides for name in side.names})
 
-    def add(self, message: Logged) -> None:
+    def add(self, message: LoggedMessage) -> None:
         """Add one message of the topic.
 
         Raises:
             InputError: its fields are not those of its type.
         """
         try:
-            self._add(message)
+            self._add_readings(message)
         except (AttributeError, LookupError, TypeError, ValueError, OverflowError) as error:
             text = (
                 f"bag '{self._log.path}': bad {self._type_name} on {self.topic.source} ({error_line(error)})"
             )
             raise InputError(text) from error
 
-    def _add(self, message: Logged) -> None:
+    def _add_readings(self, message: LoggedMessage) -> None:
         content = self._joints.add(message.content) if self._type_name == JOINTS else message.content
         if content is None:
-            self._seen |= dict.fromkeys(message.content.name)
+            self._unused_joints |= dict.fromkeys(message.content.name)
             return
-        for reading in self._read(content, self.topic):
+        for reading in self._read_message(content, self.topic):
             stamp_ns = message.log_time_ns
             if self.topic.stamped and reading.header is not None:
                 stamp = reading.header.stamp
                 stamp_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec) or message.log_time_ns
             stamp_ns += self.topic.time_offset_ns
-            lacks = reading.lacks or ("" if 0 <= stamp_ns < LIMIT_NS else "stamp outside 0 … 2^31 s")
-            if lacks:
-                self._left_out[lacks] += 1
-                self._seen |= dict.fromkeys(message.content.name) if lacks == NO_JOINTS else {}
+            defect = reading.defect or ("" if 0 <= stamp_ns < LIMIT_NS else "stamp outside 0 … 2^31 s")
+            if defect:
+                self._left_out[defect] += 1
+                self._unused_joints |= dict.fromkeys(message.content.name) if defect == NO_JOINTS else {}
                 continue
             self._rows.append(reading.row)
             self._times.append((stamp_ns, message.log_time_ns))
@@ -129,16 +129,16 @@ class _Collector:
     def samples(self, local: LocalFrame) -> Samples:
         """Samples of all messages that were added."""
         topic = self.topic
-        if apart := self._joints.close():
-            self._left_out[PARTIAL] += apart
+        if partial := self._joints.close():
+            self._left_out[PARTIAL] += partial
         if not self._rows:
-            raise InputError(self._nothing())
+            raise InputError(self._no_sample_text())
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
         rows = np.array(self._rows, np.float64)
         used = np.ones(len(rows), np.bool_)
-        for reason, refused in refusals(rows, topic, self._type_name, local):
-            self._left_out[reason] += int((used & refused).sum())
-            used &= ~refused
+        for reason, rejected in rejections(rows, topic, self._type_name, local):
+            self._left_out[reason] += int((used & rejected).sum())
+            used &= ~rejected
         values = values_of(rows[used], stamps_ns[used], topic, self._type_name, local)
         frames = [self._frames[k] for k in np.flatnonzero(used).tolist()]
         frames = frames if len(set(frames)) > 1 else frames[:1]
@@ -146,16 +146,16 @@ class _Collector:
         left_out = +self._left_out
         return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
 
-    def _nothing(self) -> str:
+    def _no_sample_text(self) -> str:
         """The reason why there is no sample."""
         topic = self.topic
-        if self._seen:
+        if self._unused_joints:
             requested = [name for joints in sides_of(topic) for name in joints.names]
-            like = next((text for name in requested if (text := did_you_mean(name, self._seen))), "")
+            like = next((text for name in requested if (text := did_you_mean(name, self._unused_joints))), "")
             keys = JOINT if topic.role == "swing" else " and ".join(SIDES)
             asked = ", ".join(requested) + ("" if topic.joints else f" (no {keys} in the mapping)")
-            there = ", ".join(self._seen)
-            if self._left_out[PARTIAL] and set(requested) <= self._seen.keys():
+            there = ", ".join(self._unused_joints)
+            if self._left_out[PARTIAL] and set(requested) <= self._unused_joints.keys():
                 what = f"no message of {topic.source}, and no messages of one stamp, hold {asked} together"
                 return f"{topic.where}: {what}; accepted: joints in one message, or with one stamp"
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"

@@ -29,9 +29,9 @@ from trackslip_bags.importing.roles import (
 )
 from trackslip_bags.importing.samples import (
     Values,
-    differences,
-    headings,
-    level_turns,
+    heading_values,
+    level_quaternions,
+    rates_of_positions,
     track_speeds,
     without_heading,
     yaw_of,
@@ -58,7 +58,7 @@ class Reading(NamedTuple):
 
     header: Any  # None where it has none
     row: Row
-    lacks: str = ""  # reason to leave it out; empty: none
+    defect: str = ""  # reason to leave it out; empty: none
 
 
 Reader = Callable[[Any, BagTopic], Iterator[Reading]]
@@ -70,7 +70,7 @@ def sides_of(topic: BagTopic) -> list[Joints]:
     return [topic.joints.get(key, _DEFAULT_JOINTS[key]) for key in keys]
 
 
-def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """Velocity of each joint of ``sides_of``, then position of each; nan where it has none."""
     sides = sides_of(topic)
     at = {name: k for k, name in enumerate(message.name)}
@@ -83,11 +83,11 @@ def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
             own = [float(values[at[name]]) if known else math.nan for name in side.names]
             found |= all(map(math.isfinite, own))
             row += own
-    lacks = "" if found else "has no finite values" if has_joints else NO_JOINTS
-    yield Reading(message.header, tuple(row), lacks)
+    defect = "" if found else "has no finite values" if has_joints else NO_JOINTS
+    yield Reading(message.header, tuple(row), defect)
 
 
-def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """Speed and yaw rate."""
     twist = message
     while hasattr(twist, "twist"):
@@ -97,70 +97,70 @@ def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
     yield Reading(getattr(message, "header", None), row, "" if finite else "has no finite values")
 
 
-def _velocity(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_velocity(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """x, y and their variances; 0 where the message has none."""
     covariance = np.zeros(36)
     twist = message.twist
     if hasattr(twist, "covariance"):
         covariance, twist = np.asarray(twist.covariance, np.float64), twist.twist
     row = (float(twist.linear.x), float(twist.linear.y), float(covariance[0]), float(covariance[7]))
-    lacks = "" if all(map(math.isfinite, row)) else "has no finite values"
-    yield Reading(message.header, row, "states that it has no velocity" if row[2] < 0.0 else lacks)
+    defect = "" if all(map(math.isfinite, row)) else "has no finite values"
+    yield Reading(message.header, row, "states that it has no velocity" if row[2] < 0.0 else defect)
 
 
-def _imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """Rate, acceleration and orientation of the message, each with its covariance."""
     turn = message.orientation
     row = (
-        *_vector(message.angular_velocity, message.angular_velocity_covariance),
-        *_vector(message.linear_acceleration, message.linear_acceleration_covariance),
+        *_vector_row(message.angular_velocity, message.angular_velocity_covariance),
+        *_vector_row(message.linear_acceleration, message.linear_acceleration_covariance),
         *(_NAN_4 if message.orientation_covariance[0] < 0.0 else (turn.x, turn.y, turn.z, turn.w)),
         *(_ZERO_9 if message.orientation_covariance[0] < 0.0 else message.orientation_covariance),
     )
-    lacks = "" if message.angular_velocity_covariance[0] >= 0.0 else "states that it has no angular velocity"
-    yield Reading(message.header, tuple(map(float, row)), lacks)
+    defect = "" if message.angular_velocity_covariance[0] >= 0.0 else "states that it has no angular velocity"
+    yield Reading(message.header, tuple(map(float, row)), defect)
 
 
-def _heading(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_heading(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """Quaternion, and nine numbers of its covariance; 0 where the message has none."""
     turn = message.quaternion if hasattr(message, "quaternion") else message.orientation
     covariance = getattr(message, "orientation_covariance", _ZERO_9)
     row = tuple(map(float, (turn.x, turn.y, turn.z, turn.w, *covariance)))
-    lacks = "" if any(row[:4]) and all(map(math.isfinite, row[:4])) else "holds no orientation"
-    yield Reading(message.header, row, "states that it has no orientation" if covariance[0] < 0.0 else lacks)
+    defect = "" if any(row[:4]) and all(map(math.isfinite, row[:4])) else "holds no orientation"
+    yield Reading(message.header, row, "states that it has no orientation" if covariance[0] < 0.0 else defect)
 
 
-def _vector(vector: Any, covariance: Any) -> Row:
+def _vector_row(vector: Any, covariance: Any) -> Row:
     """Three components, nan where the covariance marks them as unmeasured, and nine numbers of it."""
     if covariance[0] < 0.0:
         return (math.nan,) * 3 + _ZERO_9
     return (vector.x, vector.y, vector.z, *covariance)
 
 
-def _pose(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_pose(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """x, y, yaw and nine numbers of their covariance (nan where the message has none)."""
     pose, covariance = message.pose, np.full((3, 3), np.nan)
     if hasattr(pose, "covariance"):
         covariance, pose = np.asarray(pose.covariance, np.float64).reshape(6, 6)[PLANE_IN_6], pose.pose
-    yield _reading(message.header, pose.position, pose.orientation, covariance)
+    yield _pose_reading(message.header, pose.position, pose.orientation, covariance)
 
 
-def _transform(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_transform(message: Any, topic: BagTopic) -> Iterator[Reading]:
     transforms = message.transforms if hasattr(message, "transforms") else [message]
     for one in transforms:
         if topic.child_frame is None or one.child_frame_id.lstrip("/") == topic.child_frame.lstrip("/"):
             motion = one.transform
-            yield _reading(one.header, motion.translation, motion.rotation, np.full((3, 3), np.nan))
+            yield _pose_reading(one.header, motion.translation, motion.rotation, np.full((3, 3), np.nan))
 
 
-def _reading(header: Any, place: Any, turn: Any, covariance: FloatArray) -> Reading:
+def _pose_reading(header: Any, place: Any, turn: Any, covariance: FloatArray) -> Reading:
     yaw = yaw_of(*(np.array([float(getattr(turn, axis))]) for axis in "xyzw"))[0]
     position = (float(place.x), float(place.y))
-    lacks = "" if all(map(math.isfinite, position)) else "has no finite values"
-    return Reading(header, (*position, float(yaw), *covariance.ravel().tolist()), lacks)
+    defect = "" if all(map(math.isfinite, position)) else "has no finite values"
+    return Reading(header, (*position, float(yaw), *covariance.ravel().tolist()), defect)
 
 
-def _fix(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_fix(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """Latitude, longitude (rad), altitude, nine numbers of covariance, its kind, status."""
     kind = int(message.position_covariance_type)
     row = (
@@ -171,13 +171,13 @@ def _fix(message: Any, topic: BagTopic) -> Iterator[Reading]:
         float(kind),
         float(message.status.status),
     )
-    is_nowhere = message.latitude == message.longitude == 0.0
-    without = topic.role == "pose" and (message.status.status < 0 or is_nowhere)
+    is_at_origin = message.latitude == message.longitude == 0.0
+    without = topic.role == "pose" and (message.status.status < 0 or is_at_origin)
     finite = math.isfinite(row[0]) and math.isfinite(row[1])
     yield Reading(message.header, row, NO_FIX if without or not finite else "")
 
 
-def _odometry(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_odometry(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """Place, quaternion, and the variances of pose and of twist, six each."""
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     variances = [
@@ -188,28 +188,28 @@ def _odometry(message: Any, topic: BagTopic) -> Iterator[Reading]:
     yield Reading(message.header, tuple(map(float, row)), "" if finite else "has no finite values")
 
 
-def _hydraulics(message: Any, topic: BagTopic) -> Iterator[Reading]:
+def _read_hydraulics(message: Any, topic: BagTopic) -> Iterator[Reading]:
     yield Reading(message.header, tuple(float(getattr(message, n)) for n in ROLES["hydraulics"].fields))
 
 
 READERS: Mapping[tuple[str, str], Reader] = {
-    ("sprockets", JOINTS): _joints,
-    **{("sprockets", name): _twist for name in (ODOMETRY, *TWISTS)},
-    ("imu", IMU): _imu,
-    **{("heading", name): _heading for name in (IMU, QUATERNION_STAMPED)},
-    ("swing", JOINTS): _joints,
-    **{("pose", name): _pose for name in (POSE, POSE_STAMPED, ODOMETRY)},
-    **{("pose", name): _transform for name in (TRANSFORM, *TRANSFORMS)},
-    ("pose", FIX): _fix,
-    ("fix", FIX): _fix,
-    **{("velocity", name): _velocity for name in TWISTS[1:]},
-    ("odometry", ODOMETRY): _odometry,
-    ("hydraulics", HYDRAULICS): _hydraulics,
+    ("sprockets", JOINTS): _read_joints,
+    **{("sprockets", name): _read_twist for name in (ODOMETRY, *TWISTS)},
+    ("imu", IMU): _read_imu,
+    **{("heading", name): _read_heading for name in (IMU, QUATERNION_STAMPED)},
+    ("swing", JOINTS): _read_joints,
+    **{("pose", name): _read_pose for name in (POSE, POSE_STAMPED, ODOMETRY)},
+    **{("pose", name): _read_transform for name in (TRANSFORM, *TRANSFORMS)},
+    ("pose", FIX): _read_fix,
+    ("fix", FIX): _read_fix,
+    **{("velocity", name): _read_velocity for name in TWISTS[1:]},
+    ("odometry", ODOMETRY): _read_odometry,
+    ("hydraulics", HYDRAULICS): _read_hydraulics,
 }
 """(role, message type) → reader."""
 
 
-def refusals(
+def rejections(
     rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame
 ) -> Iterator[tuple[str, BoolArray]]:
     """Reasons to leave out some of (n, k) complete rows; (n,) which.
@@ -224,12 +224,12 @@ def refusals(
         missing = left & ~_is_variance(covariance[:, k, k])
         left &= ~missing
         if not left.any():
-            raise InputError(_no_variance(topic, axis))
+            raise InputError(_no_variance_text(topic, axis))
         yield f"no variance of {axis} above 0", missing
     if type_name == FIX:
         at = np.flatnonzero(left)
-        for reason, refused in local.refusals(rows[at, :3], f"{topic.where}: {topic.source}"):
-            yield reason, np.isin(np.arange(len(rows)), at[refused])
+        for reason, rejected in local.rejections(rows[at, :3], f"{topic.where}: {topic.source}"):
+            yield reason, np.isin(np.arange(len(rows)), at[rejected])
 
 
 def values_of(
@@ -246,7 +246,7 @@ def values_of(
         case "sprockets":
             return _twist_values(rows, topic)
         case "swing":
-            return {"angle": _means(rows[:, rows.shape[1] // 2 :], topic)[:, 0]}
+            return {"angle": _side_means(rows[:, rows.shape[1] // 2 :], topic)[:, 0]}
         case "heading":
             return _heading_values(rows, topic)
         case "imu":
@@ -281,13 +281,13 @@ def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Val
     """Sprocket speeds and angles by the joints; a joint's position may restart after each turn."""
     speeds, angles = np.split(rows, 2, axis=1)
     turned = [unwrap_angles(stamps_ns, *pair) for pair in zip(angles.T, speeds.T, strict=True)]
-    velocity, position = _means(speeds, topic), _means(np.column_stack(turned), topic)
+    velocity, position = _side_means(speeds, topic), _side_means(np.column_stack(turned), topic)
     if np.isnan(velocity).any() and np.isfinite(position).all():
-        velocity = differences(position, stamps_ns)
+        velocity = rates_of_positions(position, stamps_ns)
     return {"velocity": velocity, "position": position}
 
 
-def _means(joints: FloatArray, topic: BagTopic) -> FloatArray:
+def _side_means(joints: FloatArray, topic: BagTopic) -> FloatArray:
     """(n, sides) of (n, joints), each side's mean times its ratio."""
     found, begin = [], 0
     for side in sides_of(topic):
@@ -301,19 +301,19 @@ def _heading_values(rows: FloatArray, topic: BagTopic) -> Values:
     covariance = rows[:, 4:].reshape(-1, 3, 3).copy()
     if "yaw" in topic.spreads:
         covariance[:, 2, :] = covariance[:, :, 2] = 0.0
-        covariance[:, 2, 2] = _variance(topic.spreads["yaw"])
+        covariance[:, 2, 2] = _variance_of(topic.spreads["yaw"])
     if topic.convention == "enu" and topic.sign == 1.0:
-        return headings(rows[:, :4], covariance)
+        return heading_values(rows[:, :4], covariance)
     yaw = topic.sign * yaw_of(*rows[:, :4].T)
     yaw = math.pi / 2.0 - yaw if topic.convention == "compass" else yaw
-    return headings(level_turns(yaw), covariance)
+    return heading_values(level_quaternions(yaw), covariance)
 
 
 def _velocity_values(rows: FloatArray, topic: BagTopic) -> Values:
     variances = rows[:, 2:].copy()
     for k, axis in enumerate("xy"):
         if axis in topic.spreads:
-            variances[:, k] = _variance(topic.spreads[axis])
+            variances[:, k] = _variance_of(topic.spreads[axis])
     return {"velocity": rows[:, :2], "variances": variances}
 
 
@@ -328,7 +328,7 @@ def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:
     for axis, spread in topic.spreads.items():
         key = "rate" if axis.startswith("angular") else "acceleration"
         k = "xyz".index(axis[-1])
-        found[f"{key}_covariance"][:, k, k] = _variance(spread)
+        found[f"{key}_covariance"][:, k, k] = _variance_of(spread)
     return found
 
 
@@ -341,10 +341,10 @@ def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: Local
         pose = rows[:, :3].copy()
     if topic.position_only:
         pose[:, 2] = np.nan
-    headed = np.isfinite(pose[:, 2])
+    has_heading = np.isfinite(pose[:, 2])
     known = _is_variance(covariance[:, 2, 2])
-    if headed.any() and not (headed & known).any():
-        raise InputError(_no_variance(topic, "yaw"))
+    if has_heading.any() and not (has_heading & known).any():
+        raise InputError(_no_variance_text(topic, "yaw"))
     covariance[~known, 2, 2] = np.nan
     return without_heading(pose, covariance)
 
@@ -359,7 +359,7 @@ def _pose_covariance(rows: FloatArray, topic: BagTopic, type_name: str) -> Float
         k, m = {"x": (0, 0), "y": (1, 1), "yaw": (2, 2), "xy": (0, 1)}[axis]
         if axis in ("x", "y"):
             covariance[:, k, :] = covariance[:, :, k] = 0.0
-        covariance[:, k, m] = covariance[:, m, k] = _variance(spread)
+        covariance[:, k, m] = covariance[:, m, k] = _variance_of(spread)
     return covariance
 
 
@@ -369,11 +369,11 @@ def _is_variance(values: FloatArray) -> BoolArray:
     return found
 
 
-def _no_variance(topic: BagTopic, axis: str) -> str:
+def _no_variance_text(topic: BagTopic, axis: str) -> str:
     accepted = f"stddev: {{{axis}: …}}{', or position_only: true' if axis == 'yaw' else ''}"
     return f"{topic.where}: {topic.source} states no variance of {axis} that is above 0; accepted: {accepted}"
 
 
-def _variance(spread: Any) -> float:
+def _variance_of(spread: Any) -> float:
     value = float(spread.value)
     return value * value if spread.is_stddev else value

@@ -17,28 +17,28 @@ from can.io import blf
 _RELATIVE = re.compile(r"\s*base\s.*timestamps\s+relative", re.IGNORECASE)
 _DATE = re.compile(r"\s*(?:date|(?P<block>begin\s+triggerblock))\s+\S+\s+(?P<date>.+)", re.IGNORECASE)
 _TIME = re.compile(r"\s*(\d+\.\d+)(?=\s)")
-_LARGEST = 1 << 25  # bytes of an unpacked container, and of an object; writers use 128 kB
+_MAX_SIZE = 1 << 25  # bytes of an unpacked container, and of an object; writers use 128 kB
 
 
 def open_asc(text: TextIO, notes: list[str], name: str) -> can.ASCReader:
     """Frames of a log, at absolute times; ``notes`` gets an entry for an unreadable date."""
     log = can.ASCReader(text, relative_timestamp=False)
-    log.file = cast(TextIO, _Lines(text, notes, name))
+    log.file = cast(TextIO, _AbsoluteLines(text, notes, name))
     return log
 
 
-class _Lines:
+class _AbsoluteLines:
     """Lines with each time counted from the start of its block."""
 
     def __init__(self, text: TextIO, notes: list[str], name: str) -> None:
         self._text, self._notes, self._name = text, notes, name
-        self._lines = self._absolute()
+        self._lines = self._absolute_lines()
         self.close = text.close
 
     def __iter__(self) -> Iterator[str]:
         return self._lines
 
-    def _absolute(self) -> Iterator[str]:
+    def _absolute_lines(self) -> Iterator[str]:
         is_relative, now = False, 0.0
         for line in self._text:
             is_relative |= _RELATIVE.match(line) is not None
@@ -82,15 +82,15 @@ class BlfLog(can.BLFReader):
             content = self.file.read(size - head.size)
             self.file.read(size % 4)  # padding
             if kind == blf.LOG_CONTAINER:
-                yield from self._parse_container(_unpacked(content))
+                yield from self._parse_container(_decompress(content))
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
-        if len(self._tail) > _LARGEST:
-            raise blf.BLFParseError(f"an object of more than {_LARGEST} bytes")
+        if len(self._tail) > _MAX_SIZE:
+            raise blf.BLFParseError(f"an object of more than {_MAX_SIZE} bytes")
         yield from super()._parse_container(data)
 
 
-def _unpacked(container: bytes) -> bytes:
+def _decompress(container: bytes) -> bytes:
     method, _ = blf.LOG_CONTAINER_STRUCT.unpack_from(container)
     content = container[blf.LOG_CONTAINER_STRUCT.size :]
     if method == blf.NO_COMPRESSION:
@@ -98,7 +98,7 @@ def _unpacked(container: bytes) -> bytes:
     if method != blf.ZLIB_DEFLATE:
         raise blf.BLFParseError(f"a container packed in a way that is not known ({method})")
     unpacking = zlib.decompressobj()
-    data = unpacking.decompress(content, _LARGEST)
+    data = unpacking.decompress(content, _MAX_SIZE)
     if unpacking.unconsumed_tail:
-        raise blf.BLFParseError(f"a container of more than {_LARGEST} bytes")
+        raise blf.BLFParseError(f"a container of more than {_MAX_SIZE} bytes")
     return data

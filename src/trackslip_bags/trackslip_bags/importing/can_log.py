@@ -39,7 +39,7 @@ _NS_PER_S = 1_000_000_000
 def read_can_logs(
     paths: Sequence[Path], given: CanSection, vehicle: VehicleParameters | None
 ) -> tuple[list[Samples], list[str]]:
-    """Samples of each topic that has roles, and notes on refused frames.
+    """Samples of each topic that has roles, and notes on rejected frames.
 
     Raises:
         InputError: a log cannot be read, files of the section do not fit, or no frame has a role.
@@ -54,8 +54,8 @@ def read_can_logs(
     notes: list[str] = []
     count = 0
     channels: set[str] = set()
-    logs = [_frames(path, given, notes, channels) for path in paths]
-    with _UnreadLines() as unread:
+    logs = [_read_frames(path, given, notes, channels) for path in paths]
+    with _WarningCounter() as unread:
         for arbitration_id, data, stamp_ns, channel in heapq.merge(*logs, key=itemgetter(2)):
             count += 1
             if (codec := frames.find_codec(arbitration_id)) is not None:
@@ -70,24 +70,24 @@ def read_can_logs(
             raise InputError(f"{given.where}: {names}: {several}; accepted: channel: one of them")
     if ambiguous := bus.decoder.ambiguous_source_message():
         raise InputError(f"{given.where}: {names}: {ambiguous}")
-    refused = [
+    rejected = [
         f"{names}: {source}: {n} × {reason}"
         for source, reasons in tally.by_source().items()
         for reason, n in reasons.items()
     ]
     if not samples:
-        reason = bus.decoder.no_role_message() or "; ".join([f"{count} frames give no sample", *refused])
+        reason = bus.decoder.no_role_message() or "; ".join([f"{count} frames give no sample", *rejected])
         if given.channel is not None and given.channel not in channels:
             reason = (
                 f"no frame of channel '{given.channel}', but of {joined_names(sorted(channels)) or 'none'}"
             )
         raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
-    notes += refused
+    notes += rejected
     found = [[one for one in samples if type(one) is kind] for kind in _TOPICS]
     return [_samples(topic, names) for topic in found if topic], notes
 
 
-class _UnreadLines(logging.Handler):
+class _WarningCounter(logging.Handler):
     """Counts warnings of python-can's readers; printed, they would repeat the raw bytes of a line."""
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class _UnreadLines(logging.Handler):
         self.count = 0
         self._logger = logging.getLogger("can.io")
 
-    def __enter__(self) -> "_UnreadLines":
+    def __enter__(self) -> "_WarningCounter":
         self._logger.addHandler(self)
         self._logger.propagate = False
         return self
@@ -109,7 +109,7 @@ class _UnreadLines(logging.Handler):
         self.count += 1
 
 
-def _frames(
+def _read_frames(
     path: Path, given: CanSection, notes: list[str], channels: set[str]
 ) -> Iterator[tuple[int, bytes, int, str]]:
     """(id with its flags, payload, ns, channel) of each data frame of a log; fills ``channels``."""
@@ -162,12 +162,12 @@ def _open_mf4(path: Path) -> Any:
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its errors are raised as well
     hook = sys.unraisablehook
 
-    def keep_others(raised: Any) -> None:
+    def ignore_asammdf_errors(raised: Any) -> None:
         """Ignore errors of asammdf: freeing a partly opened file raises once more."""
         if not str(getattr(raised.object, "__module__", "")).startswith("asammdf"):
             hook(raised)
 
-    sys.unraisablehook = keep_others
+    sys.unraisablehook = ignore_asammdf_errors
     try:
         return can.MF4Reader(path)
     except NotImplementedError:

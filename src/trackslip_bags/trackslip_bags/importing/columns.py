@@ -15,7 +15,7 @@ from trackslip_common.yaml_tree import check_keys, flag, number, positive_number
 ISO = "iso8601"
 FIRST = "first"  # as an origin: the first value of the column
 
-_MORE = ("scale", "origin", "missing")
+_OPTIONAL_KEYS = ("scale", "origin", "missing")
 _ZONE = re.compile(r"Z|([+-])(\d\d):?(\d\d)")
 
 
@@ -66,7 +66,9 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         InputError: a key, unit or value is not accepted.
     """
     tree = section(where, value)
-    check_keys(where, tree, ("column", "unit") if quantities else ("column",), (*_MORE, "increments"))
+    check_keys(
+        where, tree, ("column", "unit") if quantities else ("column",), (*_OPTIONAL_KEYS, "increments")
+    )
     quantity, factor = factor_to_si(f"{where}.unit", tree["unit"], *quantities) if quantities else ("", 1.0)
     origin = tree.get("origin", 0.0)
     return Column(
@@ -75,12 +77,12 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         factor=factor * number(f"{where}.scale", tree.get("scale", 1.0)),
         origin=FIRST if origin == FIRST else number(f"{where}.origin", origin),
         turn=math.tau / factor if quantity == "angle" else 0.0,
-        missing=_missing(f"{where}.missing", tree.get("missing", [])),
+        missing=_missing_values(f"{where}.missing", tree.get("missing", [])),
         increments=flag(f"{where}.increments", tree.get("increments", False)),
     )
 
 
-def _missing(where: str, value: Any) -> tuple[float, ...]:
+def _missing_values(where: str, value: Any) -> tuple[float, ...]:
     """A number, or a list of them."""
     return tuple(number(where, one) for one in (value if isinstance(value, list) else [value]))
 
@@ -135,18 +137,20 @@ def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -
     stddevs = section(f"{where}.stddev", tree.get("stddev", {}))
     check_keys(f"{where}.stddev", stddevs, (), axes)
     for axis, value in stddevs.items():
-        found[axis] = Spread(_stddev(f"{where}.stddev.{axis}", value, axes[axis]), is_stddev=True)
+        found[axis] = Spread(_read_stddev(f"{where}.stddev.{axis}", value, axes[axis]), is_stddev=True)
     pairs = {**axes, **({"xy": axes["x"]} if "x" in axes else {})}
     covariances = section(f"{where}.covariance", tree.get("covariance", {}))
     check_keys(f"{where}.covariance", covariances, (), pairs)
     for axis, value in covariances.items():
         if axis in found:
             raise InputError(f"{where}.covariance.{axis}: stddev has it too; accepted: one of the two")
-        found[axis] = Spread(_variance(f"{where}.covariance.{axis}", value, pairs[axis]), is_stddev=False)
+        found[axis] = Spread(
+            _read_variance(f"{where}.covariance.{axis}", value, pairs[axis]), is_stddev=False
+        )
     return found
 
 
-def _stddev(where: str, value: Any, quantity: str) -> float | Column:
+def _read_stddev(where: str, value: Any, quantity: str) -> float | Column:
     """A number, SI, or a column."""
     return (
         read_column(where, value, (quantity,))
@@ -155,7 +159,7 @@ def _stddev(where: str, value: Any, quantity: str) -> float | Column:
     )
 
 
-def _variance(where: str, value: Any, quantity: str) -> float | Column:
+def _read_variance(where: str, value: Any, quantity: str) -> float | Column:
     """A number, SI, or a column in the square of a unit: ``m^2``, ``m²`` or ``(rad/s)^2``."""
     if not isinstance(value, Mapping):
         return number(where, value)

@@ -11,9 +11,9 @@ from trackslip_bags.importing.mapping_topics import CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import (
     Values,
-    differences,
-    headings,
-    level_turns,
+    heading_values,
+    level_quaternions,
+    rates_of_positions,
     track_speeds,
     without_heading,
     yaw_of,
@@ -32,25 +32,25 @@ def values_of(
     """Values of the role's messages."""
     match topic.role:
         case "sprockets":
-            return _sprockets(columns, stamps_ns, topic)
+            return _sprocket_values(columns, stamps_ns, topic)
         case "imu":
-            return _imu(columns, spreads)
+            return _imu_values(columns, spreads)
         case "pose":
-            return _pose(columns, spreads, local)
+            return _pose_values(columns, spreads, local)
         case "fix":
-            return _fix(columns, spreads)
+            return _fix_values(columns, spreads)
         case "heading":
-            return _heading(columns, spreads)
+            return _heading_values(columns, spreads)
         case "velocity":
-            return _velocity(columns, spreads)
+            return _velocity_values(columns, spreads)
         case "odometry":
-            return _odometry(columns)
+            return _odometry_values(columns)
         case _:
             nothing = np.full(len(stamps_ns), np.nan)
             return {name: columns.get(name, nothing) for name in ROLES[topic.role].fields}
 
 
-def _sprockets(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> Values:
+def _sprocket_values(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> Values:
     """Velocities as recorded, from a twist, or from positions."""
     positions = np.full((len(stamps_ns), 2), np.nan)
     if "left_position" in columns:
@@ -60,11 +60,11 @@ def _sprockets(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> Values:
     elif topic.geometry is not None and "speed" in columns:
         velocities = track_speeds(columns["speed"], columns["yaw_rate"], topic.geometry)
     else:
-        velocities = differences(positions, stamps_ns)
+        velocities = rates_of_positions(positions, stamps_ns)
     return {"velocity": velocities, "position": positions}
 
 
-def _imu(columns: Values, spreads: Values) -> Values:
+def _imu_values(columns: Values, spreads: Values) -> Values:
     found: Values = {}
     count = len(next(iter(columns.values())))
     for key, name in (("rate", "angular_velocity"), ("acceleration", "linear_acceleration")):
@@ -79,7 +79,7 @@ def _imu(columns: Values, spreads: Values) -> Values:
     return found
 
 
-def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
+def _pose_values(columns: Values, spreads: Values, local: LocalFrame) -> Values:
     """Poses, with local east and north where latitude and longitude are given."""
     if "latitude" in columns:
         x, y = local.east_north(place_of(columns)).T
@@ -102,22 +102,22 @@ def _yaw(columns: Values, count: int) -> FloatArray:
     return columns.get("yaw", np.full(count, np.nan))
 
 
-def _turn(columns: Values, count: int) -> FloatArray:
+def _quaternions(columns: Values, count: int) -> FloatArray:
     """(n, 4) quaternions."""
     if "qw" in columns:
         return np.column_stack([columns[name] for name in QUATERNION])
-    return level_turns(_yaw(columns, count))
+    return level_quaternions(_yaw(columns, count))
 
 
-def _heading(columns: Values, spreads: Values) -> Values:
+def _heading_values(columns: Values, spreads: Values) -> Values:
     """Headings; a variance of 0 is unknown: the source parameters state it."""
-    turn = _turn(columns, len(next(iter(columns.values()))))
+    turn = _quaternions(columns, len(next(iter(columns.values()))))
     covariance = np.zeros((len(turn), 3, 3))
     covariance[:, 2, 2] = np.nan_to_num(spreads.get("yaw", covariance[:, 2, 2]), nan=0.0)
-    return headings(turn, covariance)
+    return heading_values(turn, covariance)
 
 
-def _fix(columns: Values, spreads: Values) -> Values:
+def _fix_values(columns: Values, spreads: Values) -> Values:
     place = place_of(columns)
     covariance, known = np.zeros((len(place), 3, 3)), np.full(len(place), "x" in spreads and "y" in spreads)
     for k, axis in enumerate("xyz"):
@@ -138,7 +138,7 @@ def _fix(columns: Values, spreads: Values) -> Values:
     }
 
 
-def _velocity(columns: Values, spreads: Values) -> Values:
+def _velocity_values(columns: Values, spreads: Values) -> Values:
     """Velocities, of a radar forward only; a variance of 0 is unknown: the source parameters state it."""
     if "forward" in columns:
         x, y = columns["forward"], np.zeros(len(columns["forward"]))
@@ -153,10 +153,10 @@ def _velocity(columns: Values, spreads: Values) -> Values:
     return {"velocity": np.column_stack((x, y)), "variances": np.column_stack((of_x, of_y))}
 
 
-def _odometry(columns: Values) -> Values:
+def _odometry_values(columns: Values) -> Values:
     """Odometry; variances of 0 are unknown."""
     level = np.zeros(len(columns["x"]))
-    turn = _turn(columns, len(level))
+    turn = _quaternions(columns, len(level))
     place = np.column_stack((columns["x"], columns["y"], columns.get("z", level)))
     return {"place": place, "turn": turn, "variances": np.zeros((len(level), 12))}
 

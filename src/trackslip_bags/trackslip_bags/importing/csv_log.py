@@ -17,16 +17,16 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import Samples, Values, yaw_of
-from trackslip_bags.importing.times import LIMIT_NS, time_text, too_late
+from trackslip_bags.importing.times import LIMIT_NS, time_text, unit_hint
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import unwrap_angles
 from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
-_SEVERAL = 3  # rows of a topic, which need more than one time
-_EARTH = 6.37e6  # m per radian of latitude
-_MOSTLY, _SPELLS = 0.75, 10  # least share of zeros, least spells of other values, for a note
+_MIN_ROWS = 3  # rows of a topic, which need more than one time
+_EARTH_RADIUS = 6.37e6  # m per radian of latitude
+_MIN_ZERO_SHARE, _MIN_RUNS = 0.75, 10  # of zeros in a column, and runs of other values, for a note
 
 
 def read_csv_logs(
@@ -80,14 +80,14 @@ def _requested(topics: Sequence[CsvTopic]) -> Requested:
     )
 
 
-class _Chosen:
+class _SelectedRows:
     """The rows that become messages, and the reasons why others do not."""
 
     def __init__(self, rows: BoolArray) -> None:
         self.rows = rows.copy()
         self.left_out: Counter[str] = Counter()
 
-    def drop(self, bad: Any, reason: str) -> None:
+    def reject(self, bad: Any, reason: str) -> None:
         """Leave out the rows ``bad``, (rows,) of bool, and count them under ``reason``."""
         count = int((self.rows & bad).sum())
         if count:
@@ -101,21 +101,21 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     stamps_ns, received_ns = _stamps(table, topic, start_ns)
     columns = _columns(table, topic, stamps_ns)
     spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
-    present = np.isfinite([columns[name] for name in role.needed(columns)])
-    chosen = _Chosen(present.any(axis=0) & _new_rows(table, topic))
-    chosen.drop(~present.all(axis=0), "some cells are blank")
-    chosen.drop(stamps_ns == NO_TIME, "no time")
+    present = np.isfinite([columns[name] for name in role.required_fields(columns)])
+    chosen = _SelectedRows(present.any(axis=0) & _is_new(table, topic))
+    chosen.reject(~present.all(axis=0), "some cells are blank")
+    chosen.reject(stamps_ns == NO_TIME, "no time")
     for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():
-        chosen.drop(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
+        chosen.reject(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
     if topic.role == "heading" and "qw" in columns:
-        chosen.drop(np.isnan(yaw_of(*(columns[name] for name in QUATERNION))), "holds no orientation")
+        chosen.reject(np.isnan(yaw_of(*(columns[name] for name in QUATERNION))), "holds no orientation")
     if "latitude" in columns:
-        chosen.drop(_is_nowhere(table, topic, columns), "latitude and longitude are 0")
+        chosen.reject(_is_at_origin(table, topic, columns), "latitude and longitude are 0")
     if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
         left = np.flatnonzero(chosen.rows)
-        refused = local.refusals(place_of(columns)[left], f"{topic.where}: {table.path}")
-        for reason, which in refused:
-            chosen.drop(np.isin(np.arange(len(chosen.rows)), left[which]), reason)
+        rejected = local.rejections(place_of(columns)[left], f"{topic.where}: {table.path}")
+        for reason, which in rejected:
+            chosen.reject(np.isin(np.arange(len(chosen.rows)), left[which]), reason)
     rows = chosen.rows
     _check_times(table, topic, stamps_ns[rows])
     if not rows.any():
@@ -135,7 +135,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
 def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
     """Refuse rows that all have one time, as after a loss of digits; note rows that share a time."""
     distinct = len(np.unique(stamps_ns))
-    if len(stamps_ns) >= _SEVERAL and distinct == 1:
+    if len(stamps_ns) >= _MIN_ROWS and distinct == 1:
         seconds = stamps_ns[0] * 1e-9
         raise InputError(
             f"{table.path}: column '{topic.time.name}': {len(stamps_ns)} rows at one time, {seconds:.10g} s; "
@@ -155,7 +155,7 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
     if topic.role != "pose":
         return
     shrink = np.cos(np.median(columns["latitude"])) if "latitude" in columns else 1.0
-    metres = {"x": 1.0, "y": 1.0, "latitude": _EARTH, "longitude": _EARTH * shrink}
+    metres = {"x": 1.0, "y": 1.0, "latitude": _EARTH_RADIUS, "longitude": _EARTH_RADIUS * shrink}
     for name, axis in (("x", "x"), ("y", "y"), ("latitude", "y"), ("longitude", "x")):
         if name not in columns:
             continue
@@ -168,12 +168,12 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
             raise InputError(f"{place} {has}; accepted: {accepted}")
 
 
-def _increments_summed(values: FloatArray, column: Column) -> FloatArray:
+def _sum_increments(values: FloatArray, column: Column) -> FloatArray:
     """(n,) sums of increments; nan where a row has none."""
     return np.where(np.isnan(values), np.nan, np.nancumsum(values)) if column.increments else values
 
 
-def _without_missing(values: FloatArray, column: Column) -> FloatArray:
+def _replace_missing(values: FloatArray, column: Column) -> FloatArray:
     """(n,) values, with nan for those that mark missing ones."""
     return np.where(np.isin(values, column.missing), np.nan, values) if column.missing else values
 
@@ -182,8 +182,8 @@ def _note_zeros(table: Table, topic: CsvTopic) -> None:
     """Note columns that are mostly 0 with other values in between: 0 may mark a missing value."""
     for name in sorted({n for c in topic.columns.values() if not c.missing for n in c.names}):
         is_zero = table.numbers[name] == 0.0
-        spells = int(np.count_nonzero(np.diff(is_zero.astype(np.int8)) < 0))
-        if is_zero.mean() >= _MOSTLY and spells >= _SPELLS:
+        runs = int(np.count_nonzero(np.diff(is_zero.astype(np.int8)) < 0))
+        if is_zero.mean() >= _MIN_ZERO_SHARE and runs >= _MIN_RUNS:
             percent = round(100.0 * float(is_zero.mean()))
             table.notes.append(
                 f"column '{name}' is 0 in {percent} % of its rows; if 0 stands for no value: missing: 0"
@@ -194,10 +194,10 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
     """(rows,) values of each column, SI; angles of sprockets may restart after each turn of the encoder."""
     _note_zeros(table, topic)
     numbers = {
-        name: [_increments_summed(_without_missing(table.numbers[n], column), column) for n in column.names]
+        name: [_sum_increments(_replace_missing(table.numbers[n], column), column) for n in column.names]
         for name, column in topic.columns.items()
     }
-    found = {name: _si(numbers[name], column, topic) for name, column in topic.columns.items()}
+    found = {name: _to_si(numbers[name], column, topic) for name, column in topic.columns.items()}
     timed = stamps_ns != NO_TIME
     for side in SIDES if topic.role == "sprockets" else ():
         column = topic.columns.get(f"{side}_position")
@@ -205,14 +205,14 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
             continue
         speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
         turned = [
-            _without_restarts(table, name, values, column.turn, timed, stamps_ns, speeds)
+            _unwrap_angle(table, name, values, column.turn, timed, stamps_ns, speeds)
             for name, values in zip(column.names, numbers[f"{side}_position"], strict=True)
         ]
-        found[f"{side}_position"] = _si(turned, column, topic)
+        found[f"{side}_position"] = _to_si(turned, column, topic)
     return found
 
 
-def _without_restarts(
+def _unwrap_angle(
     table: Table,
     name: str,
     values: FloatArray,
@@ -239,7 +239,7 @@ def _without_restarts(
     return values
 
 
-def _si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> FloatArray:
+def _to_si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> FloatArray:
     """(rows,) SI values; of sprockets, speeds and lengths on the ground become rates and angles."""
     values: FloatArray = np.mean(numbers, axis=0)
     known = values[np.isfinite(values)]
@@ -263,7 +263,7 @@ def _variance(table: Table, spread: Spread) -> FloatArray:
 
 def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, IntArray]:
     """(rows,) stamps and times of arrival; NO_TIME where the row has none."""
-    times_ns = _checked(table, topic.time, start_ns)
+    times_ns = _checked_times(table, topic.time, start_ns)
     known = times_ns != NO_TIME
     if topic.received is None:
         back = np.flatnonzero(np.diff(times_ns[known]) < 0)
@@ -277,11 +277,11 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
     stamps_ns = np.where(known, times_ns + topic.time_offset_ns, NO_TIME)
     if topic.received is None:
         return stamps_ns, stamps_ns
-    received_ns = _checked(table, topic.received, start_ns)
+    received_ns = _checked_times(table, topic.received, start_ns)
     return stamps_ns, np.where(received_ns == NO_TIME, stamps_ns, received_ns)
 
 
-def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
+def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     """(rows,) times, ns; NO_TIME where blank."""
     raw_ns = table.times[column]
     times_ns = np.where(raw_ns == NO_TIME, NO_TIME, raw_ns + start_ns)
@@ -293,14 +293,14 @@ def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
             raise InputError(
                 f"{place}: {seconds:.3f} s is before 0; accepted: a 'start' that makes it 0 or later"
             )
-        like = too_late(int(raw_ns[bad[0]]), column)
+        like = unit_hint(int(raw_ns[bad[0]]), column)
         raise InputError(
             f"{place}: {seconds:.12g} s is too late for a stamp{like}; accepted: less than 2^31 s"
         )
     return times_ns
 
 
-def _new_rows(table: Table, topic: CsvTopic) -> BoolArray:
+def _is_new(table: Table, topic: CsvTopic) -> BoolArray:
     """(rows,) whether a row holds a new message: all, or those where the marking column changes.
 
     The first row does not count as a change: the age of its value is unknown.
@@ -319,7 +319,7 @@ def _new_rows(table: Table, topic: CsvTopic) -> BoolArray:
     return found
 
 
-def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> BoolArray:
+def _is_at_origin(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> BoolArray:
     """(rows,) whether latitude and longitude are both 0, as from a receiver without a fix."""
     for name, limit in (("latitude", 90.0), ("longitude", 180.0)):
         degrees = np.degrees(columns[name])

@@ -28,10 +28,10 @@ from trackslip_bags.importing.csv_text import (
     ends_in_zeros,
     find_head,
     lines_of,
-    split,
+    split_cells,
 )
-from trackslip_bags.importing.log_kinds import refuse_other_kinds
-from trackslip_bags.importing.times import accepted, time_ns
+from trackslip_bags.importing.log_kinds import require_table
+from trackslip_bags.importing.times import accepted_text, time_ns
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError, did_you_mean
 
@@ -56,7 +56,7 @@ _BLANK = (
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _BLOCK = 20_000  # rows
 _HEAD = 200  # lines
-_SHOWN = 40  # characters of a bad cell
+_MAX_SHOWN = 40  # characters of a bad cell
 
 
 class Requested(NamedTuple):
@@ -95,7 +95,7 @@ def read_table(path: Path, requested: Requested) -> Table:
     if not path.is_file():
         raise InputError(f"{path}: no regular file; accepted: a CSV file")
     try:
-        refuse_other_kinds(path)
+        require_table(path)
         encoding = encoding_of(path)
         with path.open(encoding=encoding, newline=None) as stream:
             reader = _Reader(path, lines_of(path, stream), requested)
@@ -180,14 +180,14 @@ class _Reader:
         width = len(self._head.names)
         counts = pl.Series([text for _, text in rows]).str.count_matches(delimiter, literal=True) + 1
         if rows and self._short is not None:
-            raise self._ragged(*self._short)
+            raise self._row_error(*self._short)
         short = (counts < width).arg_true().to_list()
         if short and short[0] < len(rows) - 1:
-            raise self._ragged(*rows[short[0]])
+            raise self._row_error(*rows[short[0]])
         for k in (counts > width).arg_true().to_list():
-            behind = split(rows[k][1], delimiter)[width:]
+            behind = split_cells(rows[k][1], delimiter)[width:]
             if any(behind):
-                raise self._ragged(*rows[k])
+                raise self._row_error(*rows[k])
             text = rows[k][1]
             rows[k] = rows[k][0], re.sub(rf"(?:{re.escape(delimiter)}\s*){{{len(behind)}}}$", "", text)
         if short:
@@ -205,9 +205,9 @@ class _Reader:
                 truncate_ragged_lines=True,
             )
         except pl.exceptions.PolarsError as error:
-            raise self._no_table(lines, " ".join(str(error).split(".")[0].split())) from error
+            raise self._table_error(lines, " ".join(str(error).split(".")[0].split())) from error
         if cells.height != len(lines):
-            raise self._no_table(lines, "a quote does not close")
+            raise self._table_error(lines, "a quote does not close")
         places = {name: self._head.names.index(name) for name in dict.fromkeys(self._requested.names)}
         requested = [
             pl.col(f"{k}").fill_null("").str.strip_chars().str.strip_chars('"').str.strip_chars().alias(name)
@@ -224,7 +224,7 @@ class _Reader:
         values = plain.cast(pl.Float64, strict=False)
         bad = (~is_blank & ~values.is_finite().fill_null(value=False)).arg_true()
         if len(bad):
-            raise self._bad(block.lines[bad[0]], name, cells[bad[0]], "a finite number")
+            raise self._cell_error(block.lines[bad[0]], name, cells[bad[0]], "a finite number")
         found: FloatArray = values.to_numpy().astype(np.float64)
         return np.where(is_blank.to_numpy(), np.nan, found)
 
@@ -235,19 +235,19 @@ class _Reader:
         for k, cells in enumerate(zip(*parts, strict=True)):
             try:
                 is_blank = cells[0].lower() in _BLANK
-                found[k] = NO_TIME if is_blank else time_ns(self._pointed(cells), column)
+                found[k] = NO_TIME if is_blank else time_ns(self._with_decimal_points(cells), column)
             except ValueError:
                 names, cell = " + ".join(column.names), " ".join(cells)
-                raise self._bad(block.lines[k], names, cell, accepted(cell, column)) from None
+                raise self._cell_error(block.lines[k], names, cell, accepted_text(cell, column)) from None
         return found
 
-    def _pointed(self, cells: Sequence[str]) -> Sequence[str]:
+    def _with_decimal_points(self, cells: Sequence[str]) -> Sequence[str]:
         return [cell.replace(",", ".") for cell in cells] if self._requested.dialect.decimal_comma else cells
 
     def _is_units(self, text: str) -> bool:
         """Whether a line below the names holds units: requested cells hold no values, and some hold words."""
         try:
-            row = split(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter)
+            row = split_cells(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter)
         except csv.Error:
             return False
         if len(row) < len(self._head.names):
@@ -255,31 +255,31 @@ class _Reader:
         at = {name: row[self._head.names.index(name)] for name in self._requested.names}
         for column in self._requested.times:
             cells = [at[name] for name in column.names]
-            if cells[0].lower() not in _BLANK and _holds(lambda c: time_ns(c, column), cells):  # noqa: B023
+            if cells[0].lower() not in _BLANK and _is_convertible(lambda c: time_ns(c, column), cells):  # noqa: B023
                 return False
         cells = [at[name] for name in self._requested.numbers]
-        if any(cell.lower() not in _BLANK and _holds(float, cell) for cell in cells):
+        if any(cell.lower() not in _BLANK and _is_convertible(float, cell) for cell in cells):
             return False
         words = [*cells, *(at[name] for column in self._requested.times for name in column.names)]
         return any(words) and not any(re.search(r"\d,\d", cell) for cell in words)
 
-    def _bad(self, line: int, name: str, cell: str, instead: str) -> InputError:
+    def _cell_error(self, line: int, name: str, cell: str, instead: str) -> InputError:
         """Error for a cell that cannot be converted."""
         place = f"{self._path}: line {line}, column '{name}'"
         if DECIMAL_COMMA.fullmatch(cell):
             remedy = "a decimal point, or csv: {decimal: comma} in the mapping"
             return InputError(f"{place}: '{cell}' has a decimal comma; accepted: {remedy}")
-        shown = cell if len(cell) <= _SHOWN else f"{cell[:_SHOWN]}…"
+        shown = cell if len(cell) <= _MAX_SHOWN else f"{cell[:_MAX_SHOWN]}…"
         return InputError(f"{place}: {shown!r} is not accepted; accepted: {instead}, or blank")
 
-    def _ragged(self, line: int, text: str) -> InputError:
+    def _row_error(self, line: int, text: str) -> InputError:
         names = self._head.names
-        count = len(split(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter))
+        count = len(split_cells(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter))
         has = f"{self._path}: line {line} has {count} cells, the header {len(names)}"
         comma = self._head.delimiter == "," and count > len(names)
         return InputError(f"{has}{' (decimal commas?)' if comma else ''}; accepted: as many as the header")
 
-    def _no_table(self, lines: Sequence[int], reason: str) -> InputError:
+    def _table_error(self, lines: Sequence[int], reason: str) -> InputError:
         where = f"{self._path}: lines {lines[0]} to {lines[-1]}"
         return InputError(f"{where}: not a table ({reason}); accepted: quotes that close, in their line")
 
@@ -293,7 +293,7 @@ class _Reader:
             raise InputError(f"{self._path}: no column '{name}'{like}; the columns are: {there}")
 
 
-def _holds(convert: Callable[[Any], Any], cell: Any) -> bool:
+def _is_convertible(convert: Callable[[Any], Any], cell: Any) -> bool:
     try:
         convert(cell)
     except ValueError:

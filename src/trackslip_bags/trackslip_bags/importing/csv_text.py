@@ -19,13 +19,16 @@ from trackslip_bags.importing.log_kinds import encoding_of_mark, utf16_without_m
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_tree import check_keys, choice, section, texts
 
-LONGEST = 1 << 20  # characters of a line
+MAX_LINE_LENGTH = 1 << 20  # characters of a line
 COMMENT = "#"
 BLANKS = " "  # as a delimiter: any number of blanks
 
 _DELIMITERS = ",;\t|"
-_WORDS = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "blanks": BLANKS}
-_NAMED = {**_WORDS, **{delimiter: delimiter for delimiter in _WORDS.values()}}
+_DELIMITER_OF_WORD = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "blanks": BLANKS}
+_DELIMITER_OF_NAME = {
+    **_DELIMITER_OF_WORD,
+    **{delimiter: delimiter for delimiter in _DELIMITER_OF_WORD.values()},
+}
 _DECIMALS = ("point", "comma")
 _TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")  # of trajectories, blanks between
 _FORMATS = ("tum",)
@@ -63,7 +66,7 @@ def read_dialect(where: str, value: Any) -> Dialect:
     names = texts(f"{where}.names", tree["names"]) if "names" in tree else _TUM if is_tum else ()
     delimiter = BLANKS if is_tum else ""
     if "delimiter" in tree:
-        delimiter = _NAMED[choice(f"{where}.delimiter", tree["delimiter"], _NAMED)]
+        delimiter = _DELIMITER_OF_NAME[choice(f"{where}.delimiter", tree["delimiter"], _DELIMITER_OF_NAME)]
     decimal = choice(f"{where}.decimal", tree.get("decimal", "point"), _DECIMALS)
     if decimal == "comma" and delimiter == ",":
         raise InputError(f"{where}.decimal: a comma, as the delimiter is; accepted: another delimiter")
@@ -109,9 +112,9 @@ def lines_of(path: Path, stream: Any) -> Iterator[str]:
     Raises:
         InputError: one is longer than any row, or holds zero bytes.
     """
-    while line := stream.readline(LONGEST):
+    while line := stream.readline(MAX_LINE_LENGTH):
         text = line.rstrip("\r\n").rstrip("\0")
-        if len(text) == LONGEST:
+        if len(text) == MAX_LINE_LENGTH:
             raise InputError(f"{path}: a line of more than 1 MB; accepted: rows, a line each")
         if "\0" in text:
             raise InputError(f"{path}: holds zero bytes; accepted: text")
@@ -132,18 +135,18 @@ def find_head(path: Path, lines: list[str], dialect: Dialect, requested: Collect
     first = 1 if found else 0
     if dialect.names:
         rows = [line for line in lines[first:] if line.strip() and not line.lstrip().startswith(COMMENT)]
-        guess = _guess(rows[0] if rows else "", dialect.decimal_comma)
+        guess = _guess_delimiter(rows[0] if rows else "", dialect.decimal_comma)
         return Head(list(dialect.names), stated or guess, first, True)
     for k, line in enumerate(lines[first:_HEAD], first + 1):
         is_comment = line.lstrip().startswith(COMMENT)
-        delimiter = stated or _guess(line, dialect.decimal_comma)
-        names = split(line.lstrip().lstrip(COMMENT), delimiter)
+        delimiter = stated or _guess_delimiter(line, dialect.decimal_comma)
+        names = split_cells(line.lstrip().lstrip(COMMENT), delimiter)
         if requested and set(requested) <= set(names):
             return Head(names, delimiter, k, is_comment)
     return _likely_head(path, lines, first, stated)
 
 
-def split(line: str, delimiter: str) -> list[str]:
+def split_cells(line: str, delimiter: str) -> list[str]:
     """The cells of one line.
 
     Raises:
@@ -165,17 +168,27 @@ def _likely_head(path: Path, lines: list[str], first: int, stated: str) -> Head:
             comment, at = line.strip().lstrip(COMMENT), k
             continue
         if not _is_row(line):
-            return Head(split(line, stated or _guess(line)), stated or _guess(line), k, False)
+            return Head(
+                split_cells(line, stated or _guess_delimiter(line)),
+                stated or _guess_delimiter(line),
+                k,
+                False,
+            )
         if comment:
             break
         raise InputError(
             f"{path}: line {k} holds values, and no line has names; accepted: a line of names, or "
             "csv: {names: [a, b, …]} in the mapping"
         )
-    return Head(split(comment, stated or _guess(comment)), stated or _guess(comment), at, True)
+    return Head(
+        split_cells(comment, stated or _guess_delimiter(comment)),
+        stated or _guess_delimiter(comment),
+        at,
+        True,
+    )
 
 
-def _guess(line: str, decimal_comma: bool = False) -> str:
+def _guess_delimiter(line: str, decimal_comma: bool = False) -> str:
     """The most frequent delimiter of a line; without any, blanks between words, or else a comma."""
     delimiter = max(_DELIMITERS.replace(",", "") if decimal_comma else _DELIMITERS, key=line.count)
     return delimiter if delimiter in line else BLANKS if len(line.split()) > 1 else ","

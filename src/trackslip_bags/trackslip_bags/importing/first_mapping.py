@@ -15,8 +15,8 @@ import yaml
 
 from trackslip_bags.importing.columns import ISO
 from trackslip_bags.importing.csv_table import DECIMAL_COMMA
-from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split
-from trackslip_bags.importing.log_kinds import refuse_other_kinds
+from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split_cells
+from trackslip_bags.importing.log_kinds import require_table
 from trackslip_bags.importing.times import likely_unit
 from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters
@@ -27,17 +27,27 @@ from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 _LINES = 2000  # that are read for names and values
 
 # Spellings of units in names, which cannot hold / and °.
-_SPELT = {"kmh": "km/h", "kph": "km/h", "mps": "m/s", "m_s": "m/s", "rad_s": "rad/s", "rads": "rad/s"} | {
-    "deg_s": "deg/s", "degs": "deg/s", "dps": "deg/s", "sec": "s", "km_h": "km/h"
-}  # fmt: skip
+_UNIT_SPELLINGS = {
+    "kmh": "km/h",
+    "kph": "km/h",
+    "mps": "m/s",
+    "m_s": "m/s",
+    "rad_s": "rad/s",
+    "rads": "rad/s",
+    "deg_s": "deg/s",
+    "degs": "deg/s",
+    "dps": "deg/s",
+    "sec": "s",
+    "km_h": "km/h",
+}
 
 
-_STATED = re.compile(
+_STATED_UNIT = re.compile(
     r"[\[(]\s*([^\])]+?)\s*[\])]|[\s_]([^\s_\[(]*[/°][^\s_\])]*)$"
 )  # in brackets, or at the end
 
 
-class _Kind(NamedTuple):
+class _FieldKind(NamedTuple):
     """A field of a mapping, and the names of its columns."""
 
     topic: str  # empty: the time
@@ -50,16 +60,16 @@ class _Kind(NamedTuple):
 
 
 _SIDES = {"left": "left|links|linke[rs]?|gauche|l", "right": "right|rechts|rechte[rs]?|droite?|r"}
-_BY_NUMBER = {"left": "0", "right": "1"}  # a guess, reported as such
+_SIDE_NUMBERS = {"left": "0", "right": "1"}  # a guess, reported as such
 _PART = (
     "wheels?|tracks?|sprockets?|motors?|joints?|states?|field|measured|meas|actual|ist|"
     "ketten?|rad|antrieb|chenille|roue|moteur"
 )
-_TURNING = "rpm|drehzahl"
-_SPEED = f"speed|vel|velocity|v|w|omega|geschwindigkeit|geschw|vitesse|{_TURNING}"
-_COUNTED = "ticks?|counts?|pulses?|enc|encoder|impulse?"
-_ADDED = "delta|d|inc|increments?"
-_POSITION = f"{_COUNTED}|pos|position|angle|winkel"
+_RPM = "rpm|drehzahl"
+_SPEED = f"speed|vel|velocity|v|w|omega|geschwindigkeit|geschw|vitesse|{_RPM}"
+_COUNTS = "ticks?|counts?|pulses?|enc|encoder|impulse?"
+_INCREMENTS = "delta|d|inc|increments?"
+_POSITION = f"{_COUNTS}|pos|position|angle|winkel"
 _DISTANCE = "dist|distance|strecke|weg"
 _TIMES = "time|stamp|timestamp|date_?time|zeit|zeitstempel|uhrzeit|temps|horodatage"
 _CLOCK = "(?:(?:ros|rosbag|header|field|gps|unix|utc|system|log|sample|local|epoch)_)*"
@@ -71,43 +81,46 @@ _NO_MEASUREMENT = re.compile(
 _COUNTS_PER_TURN = 1000  # a guess, reported as such
 
 
-def _of_side(side: str, needed: str, more: str = "") -> str:
+def _side_pattern(side: str, needed: str, more: str = "") -> str:
     """Pattern of names with a side and a word of ``needed``; a side by number comes last."""
     word = f"(?:{needed}|{_PART}{more})"
-    return (
-        f"(?=.*(?:{needed}))(?:(?:{word}_?)*(?:{_SIDES[side]})(?:_?{word})*|(?:{word}_?)+{_BY_NUMBER[side]})"
-    )
+    number = _SIDE_NUMBERS[side]
+    return f"(?=.*(?:{needed}))(?:(?:{word}_?)*(?:{_SIDES[side]})(?:_?{word})*|(?:{word}_?)+{number})"
 
 
-def _kinds_of(side: str) -> tuple[_Kind, ...]:
+def _side_kinds(side: str) -> tuple[_FieldKind, ...]:
     of_speed, of_position = f"{side}_velocity", f"{side}_position"
     px4 = {"left": "1", "right": "0"}[side]  # of its WheelEncoders the first is the right one
-    more = f"|{_ADDED}"
+    more = f"|{_INCREMENTS}"
     return (
-        _Kind("sprockets", of_speed, f"{_ANY}wheel_speed_{px4}", ("angular rate",), "rad/s", True),
-        _Kind("sprockets", of_speed, _of_side(side, _TURNING, f"|{_SPEED}"), ("angular rate",), "rpm", True),
-        _Kind(
+        _FieldKind("sprockets", of_speed, f"{_ANY}wheel_speed_{px4}", ("angular rate",), "rad/s", True),
+        _FieldKind(
+            "sprockets", of_speed, _side_pattern(side, _RPM, f"|{_SPEED}"), ("angular rate",), "rpm", True
+        ),
+        _FieldKind(
             "sprockets",
             of_speed,
             rf"(?:(?:{_PART})_?)*(?:{_SIDES[side]})(?:_?(?:{_PART}))*",
             ("speed", "angular rate"),
             "m/s",
         ),
-        _Kind("sprockets", of_speed, _of_side(side, _SPEED), ("speed", "angular rate"), "m/s"),
-        _Kind("sprockets", of_position, f"{_ANY}wheel_angle_{px4}", ("angle",), "rad", True),
-        _Kind("sprockets", of_position, _of_side(side, _POSITION, more), ("angle",), "rad"),
-        _Kind("sprockets", of_position, _of_side(side, _DISTANCE, more), ("length",), "m"),
+        _FieldKind("sprockets", of_speed, _side_pattern(side, _SPEED), ("speed", "angular rate"), "m/s"),
+        _FieldKind("sprockets", of_position, f"{_ANY}wheel_angle_{px4}", ("angle",), "rad", True),
+        _FieldKind("sprockets", of_position, _side_pattern(side, _POSITION, more), ("angle",), "rad"),
+        _FieldKind("sprockets", of_position, _side_pattern(side, _DISTANCE, more), ("length",), "m"),
     )
 
 
 # For each field, the first kind that has a column is used. The third axis of ArduPilot and PX4 points down.
-_KINDS = (
-    _Kind("", "time", rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc", ("time",), "s"),
-    *_kinds_of("left"),
-    *_kinds_of("right"),
-    _Kind("imu/data_raw", "angular_velocity_z", rf"{_ANY}gyr_z", ("angular rate",), "rad/s", True, -1.0),
-    _Kind("imu/data_raw", "angular_velocity_z", rf"{_ANY}gyro_rad_2", ("angular rate",), "rad/s", True, -1.0),
-    _Kind(
+_FIELD_KINDS = (
+    _FieldKind("", "time", rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc", ("time",), "s"),
+    *_side_kinds("left"),
+    *_side_kinds("right"),
+    _FieldKind("imu/data_raw", "angular_velocity_z", rf"{_ANY}gyr_z", ("angular rate",), "rad/s", True, -1.0),
+    _FieldKind(
+        "imu/data_raw", "angular_velocity_z", rf"{_ANY}gyro_rad_2", ("angular rate",), "rad/s", True, -1.0
+    ),
+    _FieldKind(
         "imu/data_raw",
         "angular_velocity_z",
         rf"(?:imu_?\d*_)?[gw]_?z|{_ANY}(?:(?:gyro|omega|rate|angular_velocity)_?z|(?:yaw|turn|gier|dreh)_?rate|"
@@ -115,10 +128,10 @@ _KINDS = (
         ("angular rate",),
         "rad/s",
     ),
-    _Kind(
+    _FieldKind(
         "gnss_pose", "latitude", rf"{_ANY}(?:lat|latitude|(?:geo_?)?breite|breitengrad)", ("angle",), "deg"
     ),
-    _Kind(
+    _FieldKind(
         "gnss_pose",
         "longitude",
         rf"{_ANY}(?:lon|lng|long|longitude|(?:geo_?)?l(?:ä|ae)nge|l(?:ä|ae)ngengrad)",
@@ -126,23 +139,23 @@ _KINDS = (
         "deg",
         True,
     ),
-    _Kind(
+    _FieldKind(
         "gnss_pose",
         "x",
         r"x|e|(?:utm_)?east(?:ing)?|rechtswert|ost(?:wert)?|(?:gnss|gps|utm|(?:\w+_)?pos(?:ition)?)_x",
         ("length",),
         "m",
     ),
-    _Kind(
+    _FieldKind(
         "gnss_pose",
         "y",
         r"y|n|(?:utm_)?north(?:ing)?|hochwert|nord(?:wert)?|(?:gnss|gps|utm|(?:\w+_)?pos(?:ition)?)_y",
         ("length",),
         "m",
     ),
-    _Kind("heading", "heading", rf"{_ANY}(?:heading|hdg|hdt|steuerkurs)", ("angle",), "deg"),
+    _FieldKind("heading", "heading", rf"{_ANY}(?:heading|hdg|hdt|steuerkurs)", ("angle",), "deg"),
 )
-_IN_TWO = (  # times in two columns, and their units
+_TWO_COLUMN_TIMES = (  # times in two columns, and their units
     (rf"(?:{_CLOCK}stamp_)?secs?", rf"(?:{_CLOCK}stamp_)?n(?:ano)?secs?", ("s", "ns")),
     ("date|datum", "time|zeit|uhrzeit|heure", (ISO,)),
 )
@@ -152,7 +165,7 @@ _PAIRS = (  # fields that come together; the first complete pair is used
 )
 _LONGEST_PERIOD = 2.0  # s between rows
 _LARGEST_ANGLES = {"latitude": 90.0, "longitude": 180.0}  # deg
-_AS_WHOLE_NUMBER = 1e-7  # deg per unit of the integers of MAVLink, u-blox and PX4
+_SCALE_OF_INTEGER_ANGLE = 1e-7  # deg per unit of the integers of MAVLink, u-blox and PX4
 
 
 @dataclass(frozen=True)
@@ -173,8 +186,8 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
     Raises:
         InputError: it is no table, or has no column that looks like one of these.
     """
-    table = _read(log)
-    fields = _one_of_each_pair(_fields(table))
+    table = _read_table(log)
+    fields = _drop_repeated_pairs(_find_fields(table))
     lacking = [
         " or ".join(either)
         for either in (("time",), ("left_velocity", "left_position"), ("right_velocity", "right_position"))
@@ -187,15 +200,15 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         )
     topics: dict[str, dict[str, Any]] = {}
     tree: dict[str, Any] = {"vehicle": vehicle}
-    tree |= {"csv": _Flow(decimal="comma")} if table.has_decimal_commas else {}
+    tree |= {"csv": _FlowMapping(decimal="comma")} if table.has_decimal_commas else {}
     for field, found in fields.items():
         (topics.setdefault(found.topic, {}) if found.topic else tree)[field] = found.entry
     guessed = [guess for found in fields.values() for guess in found.guesses]
     if "gnss_pose" in topics:
         stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
-        topics["gnss_pose"]["stddev"] = _Flow(x=stddev, y=stddev)
+        topics["gnss_pose"]["stddev"] = _FlowMapping(x=stddev, y=stddev)
         guessed.append(f"standard deviation of positions: {stddev:g} m")
-    tree |= {"topics": topics, "parameters": {**_sources(topics), **parameters}}
+    tree |= {"topics": topics, "parameters": {**_source_parameters(topics), **parameters}}
     head = f"# What is what in {log.name}, by trackslip import. Correct it; docs/import.md has every key.\n"
     used = {name for found in fields.values() for name in found.names}
     return FirstMapping(
@@ -220,14 +233,14 @@ class _Table(NamedTuple):
             return np.empty(0)
 
 
-def _read(log: Path) -> _Table:
-    refuse_other_kinds(log)
+def _read_table(log: Path) -> _Table:
+    require_table(log)
     try:
         with log.open(encoding=encoding_of(log), newline=None) as stream:
             lines = list(islice(lines_of(log, stream), _LINES))
         head = find_head(log, lines, Dialect(), ())
         below = [line for line in lines[head.line :] if not line.lstrip().startswith(COMMENT)]
-        rows = [split(line, head.delimiter) for line in below]
+        rows = [split_cells(line, head.delimiter) for line in below]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{log}: cannot be read ({error})") from error
     rows = [row for row in rows if len(row) >= len(head.names)]
@@ -236,7 +249,7 @@ def _read(log: Path) -> _Table:
     return _Table(cells, has_commas)
 
 
-class _Found(NamedTuple):
+class _FieldColumns(NamedTuple):
     """The columns of a field."""
 
     topic: str
@@ -247,56 +260,56 @@ class _Found(NamedTuple):
     has_increments: bool = False
 
     @property
-    def entry(self) -> "_Flow":
+    def entry(self) -> "_FlowMapping":
         """Entry of the mapping."""
         column, unit = (list(own) if len(own) > 1 else own[0] for own in (self.names, self.units))
         scale = {} if self.scale == 1.0 else {"scale": self.scale}
         increments = {"increments": True} if self.has_increments else {}
-        return _Flow(column=column, unit=unit, **scale, **increments)
+        return _FlowMapping(column=column, unit=unit, **scale, **increments)
 
 
-def _fields(table: _Table) -> dict[str, _Found]:
+def _find_fields(table: _Table) -> dict[str, _FieldColumns]:
     """For each field, the first column of its first kind."""
-    found: dict[str, _Found] = {}
-    for kind in _KINDS:
-        column = None if kind.field in found else _column(kind, table)
+    found: dict[str, _FieldColumns] = {}
+    for kind in _FIELD_KINDS:
+        column = None if kind.field in found else _find_column(kind, table)
         if column is not None:
             found[kind.field] = column
-    return found | ({"time": in_two} if (in_two := _time_in_two(table)) else {})
+    return found | ({"time": two_columns} if (two_columns := _two_column_time(table)) else {})
 
 
-def _column(kind: _Kind, table: _Table) -> _Found | None:
+def _find_column(kind: _FieldKind, table: _Table) -> _FieldColumns | None:
     for name in table.cells:
-        for stem, unit in _readings(name):
+        for stem, unit in _interpretations(name):
             is_of_kind = not unit or any(unit in UNITS[quantity] for quantity in kind.quantities)
             if is_of_kind and re.fullmatch(kind.names, stem) and not _NO_MEASUREMENT.fullmatch(stem):
-                return _found(kind, table, name, stem, unit)
+                return _field_columns(kind, table, name, stem, unit)
     return None
 
 
-def _found(kind: _Kind, table: _Table, name: str, stem: str, unit: str) -> _Found:
+def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: str) -> _FieldColumns:
     """A column of a kind, with unit, scale and guesses by its name and values."""
     scale, words = kind.scale, re.findall(r"[^\W\d_]+|\d+", stem)
     is_position, side = kind.field.endswith("_position"), kind.field.partition("_")[0]
     guesses = [f"scale of {name}: -1, of an axis that points down"] if scale < 0.0 else []
-    if not kind.is_certain and words[-1] == _BY_NUMBER.get(side):
+    if not kind.is_certain and words[-1] == _SIDE_NUMBERS.get(side):
         guesses.append(f"side of {name}: {side}")
     own, is_known = _unit_by_values(kind, table, name)
     if is_known and (own == ISO or not unit):
         unit = own
-    elif is_position and not unit and any(re.fullmatch(_COUNTED, word) for word in words):
+    elif is_position and not unit and any(re.fullmatch(_COUNTS, word) for word in words):
         unit, scale = "rev", 1.0 / _COUNTS_PER_TURN
         guesses.append(f"counts of {name}: {_COUNTS_PER_TURN} a turn ('scale')")
     elif not unit:
         unit = own
         guesses += [] if kind.is_certain else [f"unit of {name}: {unit}"]
     if np.abs(table.numbers(name)).max(initial=0.0) > _LARGEST_ANGLES.get(kind.field, np.inf):
-        scale = _AS_WHOLE_NUMBER
-    has_increments = is_position and any(re.fullmatch(_ADDED, word) for word in words)
-    return _Found(kind.topic, (name,), (unit,), tuple(guesses), scale, has_increments)
+        scale = _SCALE_OF_INTEGER_ANGLE
+    has_increments = is_position and any(re.fullmatch(_INCREMENTS, word) for word in words)
+    return _FieldColumns(kind.topic, (name,), (unit,), tuple(guesses), scale, has_increments)
 
 
-def _unit_by_values(kind: _Kind, table: _Table, name: str) -> tuple[str, bool]:
+def _unit_by_values(kind: _FieldKind, table: _Table, name: str) -> tuple[str, bool]:
     """Unit by the values of a column, and whether it is certain: by a date it is, by a period it is not."""
     if kind.field != "time" or not table.cells[name]:
         return kind.usual, False
@@ -308,10 +321,10 @@ def _unit_by_values(kind: _Kind, table: _Table, name: str) -> tuple[str, bool]:
     return next(units, kind.usual), False
 
 
-def _time_in_two(table: _Table) -> _Found | None:
+def _two_column_time(table: _Table) -> _FieldColumns | None:
     """A time in two columns: seconds and nanoseconds, or a date and a time of day."""
-    words = {name: _words(name) for name in table.cells}
-    for first, second, units in _IN_TWO:
+    words = {name: _normalised_name(name) for name in table.cells}
+    for first, second, units in _TWO_COLUMN_TIMES:
         names = tuple(
             next((name for name in words if re.fullmatch(pattern, words[name])), "")
             for pattern in (first, second)
@@ -320,11 +333,11 @@ def _time_in_two(table: _Table) -> _Found | None:
             continue
         cells = " ".join(next(iter(table.cells[name]), "") for name in names)
         if units != (ISO,) or likely_unit(cells) == ISO:
-            return _Found("", names, units)
+            return _FieldColumns("", names, units)
     return None
 
 
-def _one_of_each_pair(fields: Mapping[str, _Found]) -> dict[str, _Found]:
+def _drop_repeated_pairs(fields: Mapping[str, _FieldColumns]) -> dict[str, _FieldColumns]:
     """The fields without incomplete pairs, and without pairs that repeat another one."""
     left_out: set[str] = set()
     for pairs in _PAIRS:
@@ -333,25 +346,28 @@ def _one_of_each_pair(fields: Mapping[str, _Found]) -> dict[str, _Found]:
     return {field: one for field, one in fields.items() if field not in left_out}
 
 
-def _words(name: str) -> str:
+def _normalised_name(name: str) -> str:
     """``left_speed`` of ``LeftSpeed``, ``left.speed`` and others."""
     return re.sub(r"[\W_]+", "_", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
 
 
-def _readings(name: str) -> Iterator[tuple[str, str]]:
+def _interpretations(name: str) -> Iterator[tuple[str, str]]:
     """Interpretations of a name: without its unit, and the unit; then the whole name, without a unit."""
-    words = _words(name)
-    if stated := _STATED.search(name):
+    words = _normalised_name(name)
+    if stated := _STATED_UNIT.search(name):
         unit = stated[1] or stated[2]
-        yield _words(name[: stated.start()]), _SPELT.get(unit.lower(), unit)
-    known = {**_SPELT, **{unit: unit for units in UNITS.values() for unit in units if unit.isalpha()}}
+        yield _normalised_name(name[: stated.start()]), _UNIT_SPELLINGS.get(unit.lower(), unit)
+    known = {
+        **_UNIT_SPELLINGS,
+        **{unit: unit for units in UNITS.values() for unit in units if unit.isalpha()},
+    }
     for end, unit in known.items():
         if words.endswith(f"_{end}"):
             yield words.removesuffix(f"_{end}"), unit
     yield words, ""
 
 
-def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
+def _source_parameters(topics: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters that follow from the topics."""
     found: dict[str, Any] = {"pose_sources": [""], "start": "initial_pose"}
     if "gnss_pose" in topics:
@@ -360,7 +376,7 @@ def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
     return found | ({} if "imu/data_raw" in topics else {"yaw_rate_sources": [""]})
 
 
-class _Flow(dict[str, Any]):
+class _FlowMapping(dict[str, Any]):
     """A mapping that is written on one line."""
 
 
@@ -369,5 +385,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 _Dumper.add_representer(
-    _Flow, lambda dumper, tree: dumper.represent_mapping("tag:yaml.org,2002:map", tree, flow_style=True)
+    _FlowMapping,
+    lambda dumper, tree: dumper.represent_mapping("tag:yaml.org,2002:map", tree, flow_style=True),
 )

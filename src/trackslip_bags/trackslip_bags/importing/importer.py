@@ -21,13 +21,13 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import LogKind, kind_of
 from trackslip_bags.importing.mapping import LogMapping
 from trackslip_bags.importing.mapping_topics import BagTopic, CsvTopic
-from trackslip_bags.importing.receiver_log import holds_messages, read_receiver_logs
+from trackslip_bags.importing.receiver_log import has_messages, read_receiver_logs
 from trackslip_bags.importing.recorded_devices import CanSection, GnssSection
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import Samples
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
-from trackslip_bags.reader import absolute
+from trackslip_bags.reader import absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
@@ -37,12 +37,12 @@ from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
-_CSV = (".csv", ".txt", ".tsv", ".dat")
-_Kinds = Mapping[Path, tuple[LogKind, str]]
-_NAMED = 3  # files in an error
-_OF_DEVICES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
+_CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
+_KindOfFile = Mapping[Path, tuple[LogKind, str]]
+_MAX_NAMED = 3  # files in an error
+_DEVICE_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
 _OTHER_CLOCK_S = 10.0
-_ENOUGH = 100  # readings of speeds, enough to show counts
+_MIN_READINGS = 100  # readings of speeds, enough to show counts
 _BEFORE_ZERO = "moved to before 0 s by time_offset"
 
 
@@ -77,21 +77,21 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
         InputError: the log cannot be read or does not fit the mapping, or the bag exists already.
     """
     local = LocalFrame(mapping.datum)
-    samples, notes = _read(logs, mapping, local)
-    samples = [_from_zero(one) for one in samples]
+    samples, notes = _read_logs(logs, mapping, local)
+    samples = [_without_negative_stamps(one) for one in samples]
     if not any(len(one.stamps_ns) for one in samples):
         raise InputError(f"{logs[0]}: no message has a stamp of 0 s or later; accepted: another time_offset")
     samples = [one for one in samples if len(one.stamps_ns)]
     with BagWriter(output) as bag:
         begin_ns = min(int(one.log_times_ns.min()) for one in samples)
-        for topic, text in _latched(mapping, samples):
+        for topic, text in _first_messages(mapping, samples):
             data = serialize(make(PARAMETERS_TYPE, data=text))
-            bag.write(absolute(topic), PARAMETERS_TYPE, data, begin_ns)
+            bag.write(absolute_name(topic), PARAMETERS_TYPE, data, begin_ns)
         for log_time_ns, one, row in _in_log_order(samples):
             type_name = ROLES[one.role].type_name
-            bag.write(absolute(one.topic), type_name, serialize(one.message(row)), log_time_ns)
-    left_out = {absolute(one.topic): dict(one.left_out) for one in samples if one.left_out}
-    late = {absolute(one.topic): found for one in samples if (found := _lateness(one)) is not None}
+            bag.write(absolute_name(one.topic), type_name, serialize(one.message(row)), log_time_ns)
+    left_out = {absolute_name(one.topic): dict(one.left_out) for one in samples if one.left_out}
+    late = {absolute_name(one.topic): found for one in samples if (found := _lateness(one)) is not None}
     used = any(
         "latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values()
     )
@@ -99,30 +99,32 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
     return Imported(bag.counts, left_out, late, local.datum if used else None, notes)
 
 
-def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple[list[Samples], list[str]]:
+def _read_logs(
+    logs: Sequence[Path], mapping: LogMapping, local: LocalFrame
+) -> tuple[list[Samples], list[str]]:
     """Samples and notes of a bag or CSV files, depending on the topics of the mapping, and of its devices."""
     missing = [path for path in logs if not path.exists()]
     if missing:
         raise InputError(f"log '{missing[0]}' not found; accepted: logs or their directory, or a bag")
     bags = [path for path in logs if is_bag(path)]
-    files = [file for path in logs if path not in bags for file in _files(path)]
+    files = [file for path in logs if path not in bags for file in _log_files(path)]
     found, notes = [], []
-    for part, words in _parts(bags, files, mapping, local):
+    for part, words in _read_parts(bags, files, mapping, local):
         found += part
         notes += words
     return found, notes
 
 
-def _parts(
+def _read_parts(
     bags: Sequence[Path], files: Sequence[Path], mapping: LogMapping, local: LocalFrame
 ) -> Iterator[tuple[list[Samples], list[str]]]:
     """Samples and notes of each kind of log; each log must be read by some part of the mapping."""
     topics = list(mapping.topics.values())
     of_bag = [topic for topic in topics if isinstance(topic, BagTopic)]
     of_csv = [topic for topic in topics if isinstance(topic, CsvTopic)]
-    kinds = {file: _kind(file, None if of_csv else mapping.gnss) for file in files}
-    of_can = _matching(kinds, LogKind.CAN, mapping.can)
-    of_gnss = _matching(kinds, LogKind.GNSS, mapping.gnss)
+    kinds = {file: _kind_of_file(file, None if of_csv else mapping.gnss) for file in files}
+    of_can = _matching_files(kinds, LogKind.CAN, mapping.can)
+    of_gnss = _matching_files(kinds, LogKind.GNSS, mapping.gnss)
     rest = [file for file in files if file not in of_can and file not in of_gnss]
     if of_bag:
         if rest or not bags:
@@ -133,18 +135,18 @@ def _parts(
     elif bags:
         raise InputError(f"{bags[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")
     if mapping.can is not None:
-        _require(of_can, mapping.can, "log of a CAN bus (candump, ASC, BLF, TRC, MF4)", kinds)
+        _require_files(of_can, mapping.can, "log of a CAN bus (candump, ASC, BLF, TRC, MF4)", kinds)
         yield read_can_logs(of_can, mapping.can, mapping.vehicle)
     if mapping.gnss is not None:
-        _require(of_gnss, mapping.gnss, "log of a GNSS receiver (NMEA, UBX)", kinds)
+        _require_files(of_gnss, mapping.gnss, "log of a GNSS receiver (NMEA, UBX)", kinds)
         yield read_receiver_logs(of_gnss, mapping.gnss, local)
     if of_csv:
         yield read_csv_logs(rest, of_csv, mapping.start_ns, local)
     elif rest and not of_bag:
-        raise InputError(f"{rest[0]}: a {kinds[rest[0]][1]}, {_not_read_by(mapping, kinds[rest[0]][0])}")
+        raise InputError(f"{rest[0]}: a {kinds[rest[0]][1]}, {_unread_reason(mapping, kinds[rest[0]][0])}")
 
 
-def _not_read_by(mapping: LogMapping, kind: LogKind) -> str:
+def _unread_reason(mapping: LogMapping, kind: LogKind) -> str:
     """The reason why no part of the mapping reads a file of a kind, and accepted alternatives."""
     section = {LogKind.CAN: mapping.can, LogKind.GNSS: mapping.gnss}.get(kind)
     if section is not None:
@@ -156,41 +158,43 @@ def _not_read_by(mapping: LogMapping, kind: LogKind) -> str:
     return f"and {mapping.path} has no '{kind.value}'; accepted: that section (docs/import.md)"
 
 
-def _kind(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
+def _kind_of_file(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
     """Kind of a file, and its description; one for ``gnss`` may begin anywhere in a receiver's stream."""
     try:
         kind, words = kind_of(file)
         is_open = (
             gnss is not None and kind in (LogKind.TABLE, LogKind.OTHER) and fnmatch(file.name, gnss.file)
         )
-        if is_open and holds_messages(file):
+        if is_open and has_messages(file):
             return LogKind.GNSS, "log of a GNSS receiver"
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
     return kind, words
 
 
-def _matching(kinds: _Kinds, kind: LogKind, given: CanSection | GnssSection | None) -> list[Path]:
+def _matching_files(kinds: _KindOfFile, kind: LogKind, given: CanSection | GnssSection | None) -> list[Path]:
     """Files of a kind, whose names the section accepts."""
     if given is None:
         return []
     return [file for file, (own, _) in kinds.items() if own is kind and fnmatch(file.name, given.file)]
 
 
-def _require(files: Sequence[Path], given: CanSection | GnssSection, what: str, kinds: _Kinds) -> None:
+def _require_files(
+    files: Sequence[Path], given: CanSection | GnssSection, what: str, kinds: _KindOfFile
+) -> None:
     if not files:
-        there = "; ".join(f"{file.name}: a {words}" for file, (_, words) in list(kinds.items())[:_NAMED])
+        there = "; ".join(f"{file.name}: a {words}" for file, (_, words) in list(kinds.items())[:_MAX_NAMED])
         raise InputError(
             f"{given.where}: no {what} named '{given.file}' among the logs ({there or 'none given'}); "
             "accepted: one or more"
         )
 
 
-def _files(path: Path) -> list[Path]:
+def _log_files(path: Path) -> list[Path]:
     """A file, or those in a directory that may be logs."""
     if not path.is_dir():
         return [path]
-    endings = (*_CSV, *_OF_DEVICES)
+    endings = (*_CSV_SUFFIXES, *_DEVICE_SUFFIXES)
     found = sorted(file for file in path.iterdir() if file.suffix.lower() in endings and file.is_file())
     if not found:
         raise InputError(
@@ -199,12 +203,12 @@ def _files(path: Path) -> list[Path]:
     return found
 
 
-def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
+def _first_messages(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
     """The first messages of a bag: its vehicle, and parameters of the estimator."""
     resolution = encoder_resolution(samples)
     positions = [one.values["position"] for one in samples if one.role == "sprockets"]
-    has_speeds_alone = any(len(one) >= _ENOUGH and not np.isfinite(one).any() for one in positions)
-    found = {"encoder_resolution": resolution} if resolution or has_speeds_alone else {}
+    has_only_speeds = any(len(one) >= _MIN_READINGS and not np.isfinite(one).any() for one in positions)
+    found = {"encoder_resolution": resolution} if resolution or has_only_speeds else {}
     if mapping.vehicle is not None:
         yield VEHICLE, vehicle_text(mapping.vehicle)
     if parameters := {**found, **mapping.parameters}:
@@ -220,7 +224,7 @@ def encoder_resolution(samples: Sequence[Samples]) -> float:
     return angle_of_count(t, shown[0].values["velocity"], shown[0].values["position"])
 
 
-def _from_zero(one: Samples) -> Samples:
+def _without_negative_stamps(one: Samples) -> Samples:
     """Samples without stamps before 0, which no bag can hold."""
     good = one.stamps_ns >= 0
     if good.all():

@@ -6,7 +6,7 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
-_MOST = 64  # stamps with missing joints
+_MAX_STAMPS = 64  # stamps with missing joints
 
 PARTIAL = "holds some of the joints, and no other message of its stamp the rest"
 
@@ -28,21 +28,21 @@ class JointsByStamp:
 
         None while some are missing.
         """
-        here = self._requested.intersection(message.name)
-        if not here or here == self._requested:
+        joints = self._requested.intersection(message.name)
+        if not joints or joints == self._requested:
             return message
         stamp = message.header.stamp
         key = int(stamp.sec) * 10**9 + int(stamp.nanosec)
         part = self._parts.setdefault(key, {})
         for k, name in enumerate(message.name):
-            part[name] = (_at(message.position, k), _at(message.velocity, k))
+            part[name] = (_value_or_nan(message.position, k), _value_or_nan(message.velocity, k))
         if self._requested <= part.keys():
             del self._parts[key]
             positions, velocities = zip(*part.values(), strict=True)
             return SimpleNamespace(
                 header=message.header, name=list(part), position=positions, velocity=velocities
             )
-        if len(self._parts) > _MOST:
+        if len(self._parts) > _MAX_STAMPS:
             del self._parts[next(iter(self._parts))]
             self.dropped += 1
         return None
@@ -52,5 +52,5 @@ class JointsByStamp:
         return self.dropped + len(self._parts)
 
 
-def _at(values: Any, k: int) -> float:
+def _value_or_nan(values: Any, k: int) -> float:
     return float(values[k]) if k < len(values) else math.nan

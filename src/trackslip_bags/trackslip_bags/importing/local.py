@@ -13,7 +13,7 @@ from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, too_far_reason
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
-_MOST_TRIED = 100  # positions that are tried as a datum
+_MAX_TRIED = 100  # positions that are tried as a datum
 
 
 class LocalFrame:
@@ -27,7 +27,7 @@ class LocalFrame:
         limits = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",))
         self._reach = limits.max_distance
 
-    def refusals(self, place: FloatArray, where: str) -> Iterator[tuple[str, BoolArray]]:
+    def rejections(self, place: FloatArray, where: str) -> Iterator[tuple[str, BoolArray]]:
         """Reasons to leave out some of (n, 3) latitude and longitude, rad, and altitude, m; (n,) which.
 
         Raises:
@@ -39,33 +39,33 @@ class LocalFrame:
         if good.any():
             datum = self._datum_of(place[good], where)
             far = np.zeros(len(place), np.bool_)
-            far[good] = self._far(datum, place[good])
+            far[good] = self._is_out_of_reach(datum, place[good])
             why = [too_far_reason(datum, *degrees) for degrees in np.degrees(place[far, :2]).tolist()]
             for reason in (Reason.HEMISPHERE, Reason.FAR):
                 rows = far.copy()
                 rows[far] = [one is reason for one in why]
                 reasons[reason] = rows
         if np.logical_or.reduce(list(reasons.values())).all():
-            raise InputError(self._all_refused(place[0], where, reasons))
+            raise InputError(self._all_rejected_text(place[0], where, reasons))
         yield from ((reason.value, rows) for reason, rows in reasons.items())
 
     def east_north(self, place: FloatArray) -> FloatArray:
         """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum).
 
-        ``place``: positions that ``refusals`` accepts.
+        ``place``: positions that ``rejections`` accepts.
         """
         return _east_north(self._datum_of(place, ""), place)
 
     def _datum_of(self, place: FloatArray, where: str) -> Datum:
         """The datum; where none is given, the first position within reach of at least half of all."""
         left = np.arange(len(place)) if self.datum is None else np.arange(0)
-        for _ in range(_MOST_TRIED):
+        for _ in range(_MAX_TRIED):
             if self.datum is not None or not left.size:
                 break
             latitude, longitude, altitude = place[left[0]].tolist()
             altitude = altitude if math.isfinite(altitude) else 0.0
             tried = Datum(math.degrees(latitude), math.degrees(longitude), altitude)
-            far = self._far(tried, place)
+            far = self._is_out_of_reach(tried, place)
             self.datum = tried if 2 * int(far.sum()) <= len(place) else None
             left = left[far[left]]
         if self.datum is None:
@@ -73,18 +73,18 @@ class LocalFrame:
             raise InputError(f"{where}: {text}; accepted: datum: {{latitude: …, longitude: …}}")
         return self.datum
 
-    def _far(self, datum: Datum, place: FloatArray) -> BoolArray:
+    def _is_out_of_reach(self, datum: Datum, place: FloatArray) -> BoolArray:
         """(n,) whether positions are beyond the map."""
         far: BoolArray = np.hypot(*_east_north(datum, place).T) > self._reach
         return far
 
-    def _all_refused(self, first: FloatArray, where: str, reasons: dict[Reason, BoolArray]) -> str:
+    def _all_rejected_text(self, first: FloatArray, where: str, reasons: dict[Reason, BoolArray]) -> str:
         """Message with the first position and the datum."""
         reason = next(reason for reason, rows in reasons.items() if rows[0])
         latitude, longitude = np.degrees(first[:2]).tolist()
         about = "" if self.datum is None else f" ({self.datum.latitude:.6f}, {self.datum.longitude:.6f})"
         return (
-            f"{where}: every position is refused: the first, at latitude {latitude:.6f}, longitude "
+            f"{where}: every position is rejected: the first, at latitude {latitude:.6f}, longitude "
             f"{longitude:.6f} deg, is {reason.value}{about}; accepted: within {self._reach / 1e3:g} km of it"
         )
 

@@ -9,8 +9,12 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError
 
-_FIRST = 4096  # bytes that are examined
-_MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16", codecs.BOM_UTF8: "utf-8-sig"}
+_HEAD_SIZE = 4096  # bytes that are examined
+_BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+    codecs.BOM_UTF8: "utf-8-sig",
+}
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 _HIGH = re.compile(rb"[\x80-\xff]")
 _MOST_CONTROL, _MOST_HIGH = 0.02, 0.3  # of the bytes of a text
@@ -26,14 +30,14 @@ class LogKind(Enum):
 
 
 _CANDUMP = rb"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#"
-_ON_SCREEN = rb"\s*(?:\([-\d:. ]+\)\s+)?\S+\s+(?:[RT]X\s.*)?[0-9A-Fa-f]{3,8}\s+\[\d+\]\s"
+_CANDUMP_SCREEN = rb"\s*(?:\([-\d:. ]+\)\s+)?\S+\s+(?:[RT]X\s.*)?[0-9A-Fa-f]{3,8}\s+\[\d+\]\s"
 _NMEA = rb"\s*\$(?:[A-Z]{5},|P[A-Z]{3,4}[,0-9]|KSXT,)"
 _SET_NMEA = "record NMEA with GGA, or UBX with NAV-PVT"
 _SAVE_CAN = "save it as candump -L, ASC, BLF or TRC"
 _AS_BYTES = "save its bytes"
 _KINDS: tuple[tuple[bytes, LogKind, str], ...] = (
     (_CANDUMP, LogKind.CAN, "log of a CAN bus (candump)"),
-    (_ON_SCREEN, LogKind.OTHER, "log of a CAN bus as candump shows it (record it with candump -L)"),
+    (_CANDUMP_SCREEN, LogKind.OTHER, "log of a CAN bus as candump shows it (record it with candump -L)"),
     (
         rb"(?i)\"?time ?stamp\"?,\"?(?:id|arbitration_id)\"?,",
         LogKind.OTHER,
@@ -90,7 +94,7 @@ def kind_of(path: Path) -> tuple[LogKind, str]:
         OSError: it cannot be read.
     """
     with path.open("rb") as file:
-        first = file.read(_FIRST).rstrip(b"\0")
+        first = file.read(_HEAD_SIZE).rstrip(b"\0")
     if not first.strip():
         is_empty = not path.stat().st_size
         return LogKind.OTHER, "file without a byte" if is_empty else "file of blanks or zero bytes"
@@ -109,7 +113,7 @@ def kind_of(path: Path) -> tuple[LogKind, str]:
 
 def encoding_of_mark(first: bytes) -> str:
     """The encoding by the byte order mark of a text; empty where it has none."""
-    return next((name for mark, name in _MARKS.items() if first.startswith(mark)), "")
+    return next((name for mark, name in _BYTE_ORDER_MARKS.items() if first.startswith(mark)), "")
 
 
 def utf16_without_mark(first: bytes) -> str:
@@ -132,7 +136,7 @@ def _is_binary(first: bytes) -> bool:
     return False
 
 
-def refuse_other_kinds(path: Path) -> None:
+def require_table(path: Path) -> None:
     """Accept a table only.
 
     Raises:

@@ -35,8 +35,8 @@ from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
-_OF_CSV = ("time", "received", "csv")  # keys for all topics of CSV logs
-_OF_DEVICES = ("can", "gnss")  # sections for logs of a bus and of a receiver
+_CSV_KEYS = ("time", "received", "csv")  # keys for all topics of CSV logs
+_DEVICE_KEYS = ("can", "gnss")  # sections for logs of a bus and of a receiver
 
 
 @dataclass(frozen=True)
@@ -61,21 +61,21 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     """
     tree = read_yaml(path)
     where = str(path)
-    optional = (*_OF_CSV, *_OF_DEVICES, "start", "datum", "vehicle", "parameters")
-    check_keys(where, tree, () if tree.keys() & set(_OF_DEVICES) else ("topics",), ("topics", *optional))
+    optional = (*_CSV_KEYS, *_DEVICE_KEYS, "start", "datum", "vehicle", "parameters")
+    check_keys(where, tree, () if tree.keys() & set(_DEVICE_KEYS) else ("topics",), ("topics", *optional))
     topics = section(f"{where}: topics", tree.get("topics", {}))
-    if not topics and not tree.keys() & set(_OF_DEVICES):
+    if not topics and not tree.keys() & set(_DEVICE_KEYS):
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
     if "vehicle" in tree and "vehicle" in parameters:
         raise InputError(f"{where}: vehicle and parameters.vehicle; accepted: vehicle alone")
-    stated = tree.get("vehicle", _vehicle_among(parameters))
+    stated = tree.get("vehicle", _vehicle_in_parameters(parameters))
     parameters = {name: value for name, value in parameters.items() if name != "vehicle"}
     if vehicle is None and stated is not None:
         vehicle = _vehicle(path, stated)
     _check_parameters(path, parameters, vehicle)
     geometry = None if vehicle is None else _geometry(vehicle)
-    common: dict[str, Any] = {name: tree[name] for name in _OF_CSV if name in tree}
+    common: dict[str, Any] = {name: tree[name] for name in _CSV_KEYS if name in tree}
     found = {name: read_topic(where, name, topic, common, geometry) for name, topic in topics.items()}
     if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
         raise InputError(f"{where}: topics both with and without '{FROM}'; accepted: one log, a bag or CSV")
@@ -115,7 +115,7 @@ def _check_parameters(path: Path, parameters: Mapping[str, Any], vehicle: Vehicl
         raise InputError(f"{path}: parameters: {error}") from error
 
 
-def _vehicle_among(parameters: Mapping[str, Any]) -> Any:
+def _vehicle_in_parameters(parameters: Mapping[str, Any]) -> Any:
     """The vehicle among the parameters, as in mappings of earlier versions, with current names; or None."""
     stated = parameters.get("vehicle")
     if not isinstance(stated, Mapping):

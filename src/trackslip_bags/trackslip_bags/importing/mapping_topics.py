@@ -31,10 +31,10 @@ from trackslip_common.yaml_tree import (
 
 SIDES, JOINT = ("left", "right"), "joint"  # keys of the joints of sprockets, and of a swing
 USES = ("both", "positions", "velocities")  # of the joints of sprockets
-_COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
-_OF_CSV = ("file", "time", "received", "csv", "new_when_changes")
-_OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only", "convention", "sign")
-_OPPOSITE = (  # pairs of fields that need two columns
+_COMMON_KEYS = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
+_CSV_KEYS = ("file", "time", "received", "csv", "new_when_changes")
+_BAG_KEYS = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only", "convention", "sign")
+_SIDE_PAIRS = (  # pairs of fields that need two columns
     *(tuple(f"{side}_{what}" for side in SIDES) for what in ("velocity", "position")),
     ("x", "y"),
     ("latitude", "longitude"),
@@ -116,7 +116,7 @@ def read_topic(
         raise InputError(f"{where}: topics: unknown key '{name}'{like}; accepted: {accepted}")
     tree = section(place, value)
     role = choice(f"{place}.role", tree.get("role", ROLE_OF_TOPIC.get(name)), ROLES)
-    own = (FROM, *_keys_of(ROLES[role], _OF_BAG)) if FROM in tree else _keys_of(ROLES[role], _OF_CSV)
+    own = (FROM, *_keys_of(ROLES[role], _BAG_KEYS)) if FROM in tree else _keys_of(ROLES[role], _CSV_KEYS)
     check_keys(place, tree, (), own if FROM in tree else (*ROLES[role].fields, *own))
     of_both = {
         "name": name,
@@ -125,7 +125,7 @@ def read_topic(
         "frame": text(f"{place}.frame", tree["frame"]) if "frame" in tree else None,
         "time_offset_ns": nanoseconds(f"{place}.time_offset", tree.get("time_offset", 0.0)),
         "spreads": read_spreads(place, tree, ROLES[role].axes),
-        "geometry": _own_geometry(f"{place}.geometry", tree["geometry"]) if "geometry" in tree else geometry,
+        "geometry": _read_geometry(f"{place}.geometry", tree["geometry"]) if "geometry" in tree else geometry,
     }
     if FROM in tree:
         return _bag_topic(place, tree, ROLES[role], of_both)
@@ -140,7 +140,7 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
             f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}"
         )
     columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in given}
-    for one, other in _OPPOSITE:
+    for one, other in _SIDE_PAIRS:
         names = {columns[name].names for name in (one, other) if name in columns}
         if {one, other} <= set(given) and len(names) == 1 and len(columns[one].names) == 1:
             name = columns[one].names[0]
@@ -160,7 +160,7 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
 
 
 def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> BagTopic:
-    joints = {key: _joints(f"{where}.{key}", tree[key]) for key in (*SIDES, JOINT) if key in tree}
+    joints = {key: _read_joints(f"{where}.{key}", tree[key]) for key in (*SIDES, JOINT) if key in tree}
     uses = "positions" if role is ROLES["swing"] else "both"
     columns = [axis for axis, spread in of_both["spreads"].items() if isinstance(spread.value, Column)]
     if columns:
@@ -179,7 +179,7 @@ def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
         position_only=flag(f"{where}.position_only", tree.get("position_only", False)),
         convention=choice(f"{where}.convention", tree.get("convention", CONVENTIONS[0]), CONVENTIONS),
-        sign=_sign(f"{where}.sign", tree.get("sign", 1)),
+        sign=_read_sign(f"{where}.sign", tree.get("sign", 1)),
     )
 
 
@@ -194,22 +194,22 @@ def _keys_of(role: Role, keys: tuple[str, ...]) -> tuple[str, ...]:
         without |= {"child_frame", "position_only"}
     if role is not ROLES["heading"]:
         without |= {"convention", "sign"}
-    return tuple(key for key in (*keys, *_COMMON) if key not in without)
+    return tuple(key for key in (*keys, *_COMMON_KEYS) if key not in without)
 
 
-def _joints(where: str, value: Any) -> Joints:
+def _read_joints(where: str, value: Any) -> Joints:
     """A name, a list of names, or ``{joints: …, sign: -1, ratio: 0.1}``."""
     if not isinstance(value, Mapping):
         return Joints(texts(where, value), 1.0)
     check_keys(where, value, ("joints",), ("sign", "ratio"))
-    sign = _sign(f"{where}.sign", value.get("sign", 1))
+    sign = _read_sign(f"{where}.sign", value.get("sign", 1))
     return Joints(
         texts(f"{where}.joints", value["joints"]),
         sign * positive_number(f"{where}.ratio", value.get("ratio", 1.0)),
     )
 
 
-def _sign(where: str, value: Any) -> float:
+def _read_sign(where: str, value: Any) -> float:
     sign = number(where, value)
     if abs(sign) != 1.0:
         raise InputError(f"{where}: {sign:g} is not accepted; accepted: 1 or -1")
@@ -237,7 +237,7 @@ def _require_geometry(where: str, columns: Mapping[str, Column], geometry: Geome
         raise InputError(f"{where}.{grounded[0]}: {NEEDS_GEOMETRY}")
 
 
-def _own_geometry(where: str, value: Any) -> Geometry:
+def _read_geometry(where: str, value: Any) -> Geometry:
     tree = section(where, value)
     check_keys(where, tree, Geometry._fields, ())
     return Geometry(*(positive_number(f"{where}.{name}", tree[name]) for name in Geometry._fields))

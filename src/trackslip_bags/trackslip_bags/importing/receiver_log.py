@@ -20,7 +20,7 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.recorded_devices import GnssSection
 from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import Samples, headings, level_turns, without_heading
+from trackslip_bags.importing.samples import Samples, heading_values, level_quaternions, without_heading
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.config_files import load_parameters
@@ -35,13 +35,13 @@ from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, 
 
 _NODE, _NETWORK = "nmea_gnss", "log://"  # as over a network: bytes without transmission time
 _PIECE = 1 << 16  # bytes
-_FEWEST = 2  # sentences that identify a log with other bytes before them
+_MIN_SENTENCES = 2  # sentences that identify a log with other bytes before them
 _VALID_DATE = 1  # flag of NAV-PVT
 _DAY_NS = 86_400_000_000_000
 _EPOCH = date(1970, 1, 1)
 
 
-class _Timed(NamedTuple):
+class _TimedMessage(NamedTuple):
     """One message of the log."""
 
     content: bytes
@@ -53,7 +53,7 @@ class _Timed(NamedTuple):
 def read_receiver_logs(
     paths: Sequence[Path], given: GnssSection, local: LocalFrame
 ) -> tuple[list[Samples], list[str]]:
-    """Samples of ``fix``, ``gnss_pose``, ``fix_velocity`` and ``heading``, and notes on refused messages.
+    """Samples of ``fix``, ``gnss_pose``, ``fix_velocity`` and ``heading``, and notes on rejected messages.
 
     Raises:
         InputError: a log cannot be read, or gives no sample.
@@ -67,7 +67,7 @@ def read_receiver_logs(
     messages = [message for path in paths for message in _messages(path)]
     notes: list[str] = []
     samples: list[Sample] = []
-    for message, now_ns in _on_one_clock(messages, given, names, notes):
+    for message, now_ns in _with_epoch_times(messages, given, names, notes):
         samples += stream.feed(message.content, now_ns)
     samples += stream.flush()
     distinct = {(type(one), one.stamp_ns): one for one in reversed(samples)}
@@ -87,9 +87,9 @@ def read_receiver_logs(
     directions = [one for one in samples if isinstance(one, HeadingSample)]
     velocities = [one for one in samples if isinstance(one, VelocitySample)]
     found = [
-        *_fixes(fixes, given, local, names, notes),
-        *_velocities(velocities, given, names),
-        *_headings(directions, given, names),
+        *_fix_samples(fixes, given, local, names, notes),
+        *_velocity_samples(velocities, given, names),
+        *_heading_samples(directions, given, names),
     ]
     if not found:
         reasons = "; ".join([*notes, kinds] if POSITIONS & set(stream.kinds) else notes or [kinds])
@@ -97,20 +97,20 @@ def read_receiver_logs(
     return found, notes
 
 
-def _messages(path: Path) -> Iterator[_Timed]:
+def _messages(path: Path) -> Iterator[_TimedMessage]:
     """Complete messages of a file, and the bytes between them, which the stream counts."""
     splitter = FrameSplitter(0)
     try:
-        for piece in _pieces(path):
+        for piece in _read_pieces(path):
             for frame in splitter.feed(piece, 0):
-                yield _timed(frame)
+                yield _timed_message(frame)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     for frame in splitter.feed(b"\n", 0):  # a last line without an end
-        yield _timed(frame)
+        yield _timed_message(frame)
 
 
-def _pieces(path: Path) -> Iterator[bytes]:
+def _read_pieces(path: Path) -> Iterator[bytes]:
     """The bytes of a log; of a log in UTF-16, its text as latin-1."""
     with path.open("rb") as file:
         is_wide = encoding_of_mark(file.read(2)) == "utf-16"
@@ -122,21 +122,21 @@ def _pieces(path: Path) -> Iterator[bytes]:
             yield from iter(lambda: file.read(_PIECE), b"")
 
 
-def holds_messages(path: Path) -> bool:
+def has_messages(path: Path) -> bool:
     """Whether the first part of a file holds messages of a receiver, with any bytes before or between them.
 
     Raises:
         OSError: it cannot be read.
     """
     splitter, sentences = FrameSplitter(0), 0
-    for frame in splitter.feed(next(_pieces(path), b""), 0):
+    for frame in splitter.feed(next(_read_pieces(path), b""), 0):
         if frame.kind is Kind.UBX:
             return True
         sentences += frame.kind is Kind.SENTENCE and isinstance(read_sentence(frame.content), Sentence)
-    return sentences >= _FEWEST
+    return sentences >= _MIN_SENTENCES
 
 
-def _timed(frame: Frame) -> _Timed:
+def _timed_message(frame: Frame) -> _TimedMessage:
     if frame.kind is Kind.SENTENCE:
         found = read_sentence(frame.content)
         reading = found.reading if isinstance(found, Sentence) else None
@@ -145,7 +145,7 @@ def _timed(frame: Frame) -> _Timed:
         if is_clock:
             time_ns = _zda_time_ns(frame.content)
         day = None if time_ns is None else _day_of(found, frame.content)
-        return _Timed(frame.content + b"\r\n", time_ns, day, is_clock)
+        return _TimedMessage(frame.content + b"\r\n", time_ns, day, is_clock)
     if frame.kind is Kind.UBX:
         pvt = ubx.decode(frame.content)
         time_ns = None if pvt is None or isinstance(pvt, Rejection) else pvt.time_ns
@@ -153,11 +153,11 @@ def _timed(frame: Frame) -> _Timed:
         if isinstance(pvt, ubx.Pvt):
             year, month, day_of_month = int.from_bytes(frame.content[10:12], "little"), *frame.content[12:14]
             day = _date(year, month, day_of_month)
-        return _Timed(
+        return _TimedMessage(
             frame.content, time_ns, day, is_clock=day is not None and not frame.content[17] & _VALID_DATE
         )
     ends_line = frame.kind in (Kind.TEXT, Kind.OVERLONG)
-    return _Timed(frame.content + (b"\n" if ends_line else b""), None, None)
+    return _TimedMessage(frame.content + (b"\n" if ends_line else b""), None, None)
 
 
 def _zda_time_ns(sentence: bytes) -> int | None:
@@ -192,9 +192,9 @@ def _date(year: int, month: int, day: int) -> date | None:
         return None
 
 
-def _on_one_clock(
-    messages: Sequence[_Timed], given: GnssSection, names: str, notes: list[str]
-) -> Iterator[tuple[_Timed, int]]:
+def _with_epoch_times(
+    messages: Sequence[_TimedMessage], given: GnssSection, names: str, notes: list[str]
+) -> Iterator[tuple[_TimedMessage, int]]:
     """Each message with the time of its epoch, ns; a note where neither messages nor mapping state a date."""
     times, days, epochs = _epochs(messages)
     stated = next((k for k, day in enumerate(days) if day is not None), 0)
@@ -213,7 +213,7 @@ def _on_one_clock(
         yield message, (numbers[k] + shift) * _DAY_NS + times[k]
 
 
-def _epochs(messages: Sequence[_Timed]) -> tuple[list[int], list[date | None], list[int]]:
+def _epochs(messages: Sequence[_TimedMessage]) -> tuple[list[int], list[date | None], list[int]]:
     """Time of day, ns, and stated date of each epoch; the epoch of each message.
 
     Dates of valid positions are used; in a log without any, those of the receiver's own clock (ZDA).
@@ -240,7 +240,7 @@ def _stamps(found: Sequence[Sample], given: GnssSection) -> IntArray:
     return stamps_ns
 
 
-def _fixes(
+def _fix_samples(
     found: Sequence[FixSample], given: GnssSection, local: LocalFrame, source: str, notes: list[str]
 ) -> Iterator[Samples]:
     if not found:
@@ -265,8 +265,8 @@ def _fixes(
     if not known.any():
         return
     pose, left_out = known, {}
-    for reason, refused in local.refusals(place[known], f"{given.where}: {source}"):
-        rows = np.flatnonzero(known)[refused]
+    for reason, rejected in local.rejections(place[known], f"{given.where}: {source}"):
+        rows = np.flatnonzero(known)[rejected]
         left_out[reason] = len(rows)
         pose = pose & ~np.isin(np.arange(len(found)), rows)
     east_north: FloatArray = local.east_north(place[pose])
@@ -278,7 +278,7 @@ def _fixes(
     yield poses
 
 
-def _velocities(found: Sequence[VelocitySample], given: GnssSection, source: str) -> Iterator[Samples]:
+def _velocity_samples(found: Sequence[VelocitySample], given: GnssSection, source: str) -> Iterator[Samples]:
     if not found:
         return
     stamps_ns = _stamps(found, given)
@@ -288,13 +288,13 @@ def _velocities(found: Sequence[VelocitySample], given: GnssSection, source: str
     yield Samples("fix_velocity", "velocity", frame, stamps_ns, stamps_ns, values, source=source)
 
 
-def _headings(found: Sequence[HeadingSample], given: GnssSection, source: str) -> Iterator[Samples]:
+def _heading_samples(found: Sequence[HeadingSample], given: GnssSection, source: str) -> Iterator[Samples]:
     if not found:
         return
     stamps_ns = _stamps(found, given)
     yaw, stddev = np.array([(one.yaw, one.stddev) for one in found]).T
     covariance = np.zeros((len(yaw), 3, 3))
     covariance[:, 2, 2] = stddev**2
-    values = headings(level_turns(yaw), covariance)
+    values = heading_values(level_quaternions(yaw), covariance)
     frame = [ROLES["heading"].frame]
     yield Samples("heading", "heading", frame, stamps_ns, stamps_ns, values, source=source)

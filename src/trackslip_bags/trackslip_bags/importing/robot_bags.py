@@ -13,15 +13,15 @@ from rosbags.rosbag1.reader import decompressors
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackslip_bags import unpacking
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.reader import Bag, absolute_name
 from trackslip_bags.sources import error_line
 from trackslip_bags.types import check_finite
 from trackslip_common.errors import InputError
 
-decompressors.update(unpacking.of_ros1())  # with a limit on the size, unlike those of rosbags
+decompressors.update(unpacking.ros1_decompressors())  # with a limit on the size, unlike those of rosbags
 
 
-class Logged(NamedTuple):
+class LoggedMessage(NamedTuple):
     """One message."""
 
     topic: str
@@ -38,7 +38,7 @@ class RobotLog(Protocol):
     def types(self) -> Mapping[str, str]:
         """Topic → type name."""
 
-    def read(self, topics: Sequence[str]) -> Iterator[Logged]:
+    def read(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """Messages in log order."""
 
 
@@ -51,9 +51,9 @@ class Ros2Bag:
     @property
     def types(self) -> Mapping[str, str]:
         """Topic → type name."""
-        return {absolute(topic): info.type_name for topic, info in self._bag.topics.items()}
+        return {absolute_name(topic): info.type_name for topic, info in self._bag.topics.items()}
 
-    def read(self, topics: Sequence[str]) -> Iterator[Logged]:
+    def read(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """Messages in log order.
 
         Raises:
@@ -61,7 +61,7 @@ class Ros2Bag:
         """
         for message in self._bag.messages(topics):
             content = self._bag.deserialize(message.raw, message.type_name)
-            yield Logged(absolute(message.topic), message.log_time_ns, content)
+            yield LoggedMessage(absolute_name(message.topic), message.log_time_ns, content)
 
 
 class Ros1Bags:
@@ -80,15 +80,15 @@ class Ros1Bags:
     @property
     def types(self) -> Mapping[str, str]:
         """Topic → type name, as ROS 2 writes it."""
-        return {absolute(c.topic): c.msgtype for reader in self._readers for c in reader.connections}
+        return {absolute_name(c.topic): c.msgtype for reader in self._readers for c in reader.connections}
 
-    def read(self, topics: Sequence[str]) -> Iterator[Logged]:
+    def read(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """Messages in log order.
 
         Raises:
             InputError: a bag is damaged inside.
         """
-        parts = [self._of_one(reader, frozenset(topics)) for reader in self._readers]
+        parts = [self._read_one(reader, frozenset(topics)) for reader in self._readers]
         yield from heapq.merge(*parts, key=attrgetter("log_time_ns"))
 
     def close(self) -> None:
@@ -113,8 +113,8 @@ class Ros1Bags:
             raise InputError(f"{text}; accepted: a ROS 1 bag of format 2.0") from error
         self._readers.append(reader)
 
-    def _of_one(self, reader: Reader, topics: frozenset[str]) -> Iterator[Logged]:
-        connections = [c for c in reader.connections if absolute(c.topic) in topics]
+    def _read_one(self, reader: Reader, topics: frozenset[str]) -> Iterator[LoggedMessage]:
+        connections = [c for c in reader.connections if absolute_name(c.topic) in topics]
         stores: dict[int, Any] = {}
         try:
             for connection in connections:
@@ -125,6 +125,6 @@ class Ros1Bags:
                 stores[connection.id] = store
             for connection, time_ns, raw in reader.messages(connections) if connections else ():
                 content = stores[connection.id].deserialize_ros1(raw, connection.msgtype)
-                yield Logged(absolute(connection.topic), time_ns, content)
+                yield LoggedMessage(absolute_name(connection.topic), time_ns, content)
         except Exception as error:
             raise InputError(f"bag '{reader.path}' is damaged inside ({error_line(error)})") from error

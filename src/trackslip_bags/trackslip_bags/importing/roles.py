@@ -59,7 +59,7 @@ class Role:
     axes: Mapping[str, str]
     optional: tuple[str, ...] = ()  # fields, and axes, that a message may lack
 
-    def needed(self, given: Iterable[str]) -> list[str]:
+    def required_fields(self, given: Iterable[str]) -> list[str]:
         """The given fields that a message cannot lack."""
         names = list(given)
         optional = self.optional if self.optional != _POSITIONS or _VELOCITIES[0] in names else ()

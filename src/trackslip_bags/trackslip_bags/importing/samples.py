@@ -70,7 +70,7 @@ def track_speeds(speed: FloatArray, yaw_rate: FloatArray, geometry: Geometry) ->
     return np.column_stack((speed - apart, speed + apart)) / geometry.rolling_radius
 
 
-def differences(positions: FloatArray, stamps_ns: IntArray) -> FloatArray:
+def rates_of_positions(positions: FloatArray, stamps_ns: IntArray) -> FloatArray:
     """(n, 2) rad/s from (n, 2) rad: change over the time since the row before; the first as the second."""
     if len(positions) < 2:
         return np.zeros_like(positions)
@@ -87,7 +87,7 @@ def yaw_of(qx: FloatArray, qy: FloatArray, qz: FloatArray, qw: FloatArray) -> Fl
     return np.where(qx * qx + qy * qy + qz * qz + qw * qw > 0.0, yaw, np.nan)
 
 
-def level_turns(yaw: FloatArray) -> FloatArray:
+def level_quaternions(yaw: FloatArray) -> FloatArray:
     """(n, 4) quaternions x, y, z, w of (n,) rotations about z, rad."""
     level = np.zeros(len(yaw))
     return np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0)))
@@ -102,7 +102,7 @@ def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
     return {"pose": pose, "covariance": covariance}
 
 
-def headings(turn: FloatArray, covariance: FloatArray) -> Values:
+def heading_values(turn: FloatArray, covariance: FloatArray) -> Values:
     """Values of an Imu with orientations (n, 4) x, y, z, w only; covariances of 0: unknown."""
     nothing, unknown = np.full((len(turn), 3), np.nan), np.zeros((len(turn), 3, 3))
     return {
@@ -115,13 +115,13 @@ def headings(turn: FloatArray, covariance: FloatArray) -> Values:
     }
 
 
-def _sprockets(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _sprocket_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     names = [LEFT_SPROCKET, RIGHT_SPROCKET]
     known = np.isfinite(values["position"]).all()
     return {"name": names, "position": values["position"] if known else [], "velocity": values["velocity"]}
 
 
-def _imu(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _imu_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, key in (("angular_velocity", "rate"), ("linear_acceleration", "acceleration")):
         vector = np.nan_to_num(values[key], nan=0.0).tolist()
@@ -149,7 +149,7 @@ def _imu_covariance(vector: FloatArray, covariance: FloatArray) -> list[float]:
     return numbers
 
 
-def _fix(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _fix_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     latitude, longitude, altitude = values["place"].tolist()
     status = make("sensor_msgs/msg/NavSatStatus", status=int(values["status"]), service=1)
     return {
@@ -162,15 +162,15 @@ def _fix(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     }
 
 
-def _swing(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _swing_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {"name": [SWING_JOINT], "position": [float(values["angle"])]}
 
 
-def _hydraulics(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _hydraulics_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {name: float(value) for name, value in values.items()}
 
 
-def _velocity(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _velocity_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     v_x, v_y = values["velocity"].tolist()
     variances = np.full(6, UNOBSERVED)
     variances[:2] = values["variances"]
@@ -180,7 +180,7 @@ def _velocity(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {"twist": make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance)}
 
 
-def _odometry(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+def _odometry_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     place = make("geometry_msgs/msg/Point", **dict(zip("xyz", values["place"].tolist(), strict=True)))
     turn = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", values["turn"].tolist(), strict=True)))
     pose = make("geometry_msgs/msg/Pose", position=place, orientation=turn)
@@ -192,12 +192,12 @@ def _odometry(values: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 
 _BUILDERS: Mapping[str, Callable[[Mapping[str, FloatArray]], dict[str, Any]]] = {
-    "sprockets": _sprockets,
-    "imu": _imu,
-    "heading": _imu,
-    "swing": _swing,
-    "fix": _fix,
-    "velocity": _velocity,
-    "odometry": _odometry,
-    "hydraulics": _hydraulics,
+    "sprockets": _sprocket_fields,
+    "imu": _imu_fields,
+    "heading": _imu_fields,
+    "swing": _swing_fields,
+    "fix": _fix_fields,
+    "velocity": _velocity_fields,
+    "odometry": _odometry_fields,
+    "hydraulics": _hydraulics_fields,
 }

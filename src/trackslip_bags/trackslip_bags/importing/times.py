@@ -28,13 +28,13 @@ _ISO = re.compile(
 )
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-_OUR_DAYS = range(10**18, 2**31 * 10**9)  # ns of plausible dates, from 2001 on
-_LARGEST = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
+_PLAUSIBLE_NS = range(10**18, 2**31 * 10**9)  # ns of plausible dates, from 2001 on
+_MAX_NS = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
 
 LIMIT_NS = 2**31 * 10**9  # seconds of a ROS stamp are 32 bit, with sign
 
 
-def accepted(cell: str, column: TimeColumn) -> str:
+def accepted_text(cell: str, column: TimeColumn) -> str:
     """Text of what a column accepts instead of ``cell``, with another unit if the cell fits it."""
     if column.is_iso:
         return "as 2026-11-20T14:30:00.25+01:00"
@@ -66,7 +66,7 @@ def _number_ns(cell: str, unit: str) -> int:
         value = Decimal(cell) * _SCALES[unit]
     except ArithmeticError as error:
         raise ValueError(cell) from error
-    if not value.is_finite() or abs(value) > _LARGEST:
+    if not value.is_finite() or abs(value) > _MAX_NS:
         raise ValueError(cell)
     return int(value.to_integral_value())
 
@@ -80,7 +80,7 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
     zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # 0 for UTC, GMT
     nanoseconds = int((fraction or "0").ljust(9, "0"))
     found_ns = (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
-    if abs(found_ns) > _LARGEST:
+    if abs(found_ns) > _MAX_NS:
         raise ValueError(cell)
     return found_ns
 
@@ -92,7 +92,7 @@ def _date_of(cell: str) -> re.Match[str] | None:
     )
 
 
-def too_late(value_ns: int, column: TimeColumn) -> str:
+def unit_hint(value_ns: int, column: TimeColumn) -> str:
     """A hint for a time beyond the range of stamps: the unit that makes it a plausible date."""
     if column.is_iso or len(column.units) > 1:
         return ""
@@ -105,7 +105,7 @@ def likely_unit(cell: str) -> str:
         return ISO
     for unit in ("s", "ms", "us", "ns"):
         with suppress(ValueError):
-            if _number_ns(cell, unit) in _OUR_DAYS:
+            if _number_ns(cell, unit) in _PLAUSIBLE_NS:
                 return unit
     return ""
 

@@ -27,9 +27,11 @@ from trackslip_common.topics import TOPICS
 _TICK = 0.002  # s, largest delay of a message
 _LONGEST_TICK = 0.05  # s of publishing before the executor continues
 _CLOCK_PERIOD = 0.01  # s of wall time
-_QUIET = 1.0  # s without a new subscriber, after which discovery counts as complete
-_ALONE = 4.0  # s without any subscriber, after which there is none; discovery may take some seconds
-_LONGEST_ACK = 2.0  # s, for acknowledgement of the last messages
+_SETTLING_TIME = 1.0  # s without a new subscriber, after which discovery counts as complete
+_SUBSCRIBER_TIMEOUT = (
+    4.0  # s without any subscriber, after which there is none; discovery may take some seconds
+)
+_ACK_TIMEOUT = 2.0  # s, for acknowledgement of the last messages
 _PAUSE_KEY = " "
 
 
@@ -62,15 +64,15 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
 
     def configure(self) -> None:
         """Create all publishers, so that subscribers discover them."""
-        self._outlets = {
+        self._topic_publishers = {
             topic: self.count_send_failures(
-                self.create_publisher(message_class(kind), topic, _quality(topic))
+                self.create_publisher(message_class(kind), topic, _qos_of(topic))
             )
             for topic, kind in self._topics.items()
         }
         self._time = self.count_send_failures(self.create_publisher(ClockMessage, "/clock", 10))
         self._matched, self._quiet_since = 0, time.monotonic()
-        self._is_open = False  # whether playback has begun
+        self._has_begun = False  # whether playback has begun
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK, self._play, clock=steady)
         self.create_timer(_CLOCK_PERIOD, self._publish_time, clock=steady)
@@ -86,30 +88,30 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
 
     def _play(self) -> None:
         now_s = time.monotonic()
-        if not self.active or not (self._is_open or self._all_are_there(now_s)):
+        if not self.active or not (self._has_begun or self._is_discovery_complete(now_s)):
             return
-        for message in self._playback.due(now_s):
-            self._outlets[message.topic].publish(message.raw)
+        for message in self._playback.due_messages(now_s):
+            self._topic_publishers[message.topic].publish(message.raw)
             if time.monotonic() > now_s + _LONGEST_TICK:
                 break
-        if self._playback.finished:
-            self._end()
+        if self._playback.is_finished:
+            self._finish()
 
-    def _all_are_there(self, now_s: float) -> bool:
+    def _is_discovery_complete(self, now_s: float) -> bool:
         """Whether discovery is complete: subscribers lose messages published before they are matched."""
-        matched = sum(publisher.get_subscription_count() for publisher in self._outlets.values())
+        matched = sum(publisher.get_subscription_count() for publisher in self._topic_publishers.values())
         if matched != self._matched:
             self._matched, self._quiet_since = matched, now_s
-        self._is_open = now_s - self._quiet_since >= (_QUIET if matched else _ALONE)
-        if self._is_open:
-            self._warn_of_others()
-        return self._is_open
+        self._has_begun = now_s - self._quiet_since >= (_SETTLING_TIME if matched else _SUBSCRIBER_TIMEOUT)
+        if self._has_begun:
+            self._warn_of_other_publishers()
+        return self._has_begun
 
-    def _warn_of_others(self) -> None:
+    def _warn_of_other_publishers(self) -> None:
         """Warn if nothing subscribes, and of topics with other publishers, such as running drivers."""
         if not self._matched:
             self.get_logger().warning("no node subscribes to the played topics")
-        for topic in self._outlets:
+        for topic in self._topic_publishers:
             others = {info.node_name for info in self.get_publishers_info_by_topic(topic)} - {self.get_name()}
             if others:
                 self.get_logger().warning(f"{topic} is published by {', '.join(sorted(others))} too")
@@ -126,15 +128,15 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         response.success, response.message = True, "paused" if request.data else "playing"
         return response
 
-    def _end(self) -> None:
+    def _finish(self) -> None:
         """Wait for acknowledgement of all messages; then end the node."""
-        give_up_s = time.monotonic() + _LONGEST_ACK
-        for publisher in self._outlets.values():
-            publisher.wait_for_all_acked(Duration(seconds=max(give_up_s - time.monotonic(), 0.0)))
+        deadline_s = time.monotonic() + _ACK_TIMEOUT
+        for publisher in self._topic_publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=max(deadline_s - time.monotonic(), 0.0)))
         rclpy.try_shutdown()
 
 
-def _quality(topic: str) -> Any:
+def _qos_of(topic: str) -> Any:
     name = topic.removeprefix("/")
     return publisher_qos(name) if name in TOPICS else reliable_qos()
 

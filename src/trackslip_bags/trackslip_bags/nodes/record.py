@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 
-from trackslip_bags.nodes.taps import Taps
+from trackslip_bags.nodes.taps import RawSubscriptions
 from trackslip_bags.recording import Recording, RecordParameters
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import TrackslipNode
@@ -39,7 +39,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
             InputError: ``more_topics`` is not a regular expression.
         """
         try:
-            self._more = re.compile(self.settings.more_topics or r"(?!)")
+            self._more_topics = re.compile(self.settings.more_topics or r"(?!)")
         except re.error as error:
             text = f"'{self.settings.more_topics}' is refused ({error}); accepted: a regular expression"
             raise InputError(f"record: more_topics: {text}") from error
@@ -48,7 +48,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
     def activate(self) -> None:
         """Open the bag and subscribe."""
         self._recording = Recording(self.settings, self.get_logger())
-        self._taps = Taps(self, self._recording.bag, self._more, self._write)
+        self._raw_subscriptions = RawSubscriptions(self, self._recording.bag, self._more_topics, self._write)
 
     def deactivate(self) -> None:
         """Finish the bag; the next activation begins a new one."""
@@ -71,7 +71,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
 
     def health(self) -> list[Health]:
         """Counts per topic; an error after any loss, since the bag stays incomplete."""
-        recording, not_recorded = self._recording, self._taps.not_recorded
+        recording, not_recorded = self._recording, self._raw_subscriptions.not_recorded
         assert recording is not None
         level, word = OK, "recording"
         if not_recorded:
@@ -86,7 +86,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         counts: dict[str, Any] = dict(recording.bag.counts)
         lost = {f"{topic} lost": n for topic, n in recording.losses.total.items()}
         space = {} if minutes is None else {"disk full in (min)": round(minutes)}
-        matched = self._taps.publishers()
+        matched = self._raw_subscriptions.publishers()
         return [
             Health(level, f"{word}: {recording.bag.path}", counts | lost | not_recorded | space),
             Health(OK, f"{sum(matched.values())} found", dict(matched), part="publishers"),
@@ -97,15 +97,17 @@ class RecordNode(TrackslipNode[RecordParameters]):
         if not self.active or self._recording is None:
             return
         publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
-        if number is not None and (publisher or topic in self._taps.alone):  # Jazzy has no publisher_gid
-            self._recording.losses.see(topic, publisher["data"] if publisher else b"", number)
+        if number is not None and (
+            publisher or topic in self._raw_subscriptions.single_publisher_topics
+        ):  # Jazzy has no publisher_gid
+            self._recording.losses.count_gap(topic, publisher["data"] if publisher else b"", number)
         came_ns, sent_ns = info["received_timestamp"] or time.time_ns(), info["source_timestamp"] or None
         self._recording.write(topic, type_name, data, came_ns, sent_ns)
 
     def _save(self) -> None:
         """Twice a second: find new topics, flush to the disk, report losses."""
         if self.active and self._recording is not None:
-            self._taps.discover()
+            self._raw_subscriptions.discover()
             self._recording.save()
 
 

@@ -24,7 +24,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import MAX_CHARACTERS, parse_yaml
 
 _CDR = b"\0"  # first byte of every CDR message
-_SHOWN = 1000  # messages between two progress reports
+_PROGRESS_STEP = 1000  # messages between two progress reports
 _ENCODINGS = {MessageDefinitionFormat.MSG: SchemaEncoding.ROS2, MessageDefinitionFormat.IDL: "ros2idl"}
 
 
@@ -34,13 +34,13 @@ class Recovery:
 
     messages: int = 0
     stated: int | None = None  # messages by ``metadata.yaml``; None without it, as after a killed recorder
-    refused: int = 0  # messages that are not CDR, or of a second type of a topic
+    rejected: int = 0  # messages that are not CDR, or of a second type of a topic
     lost_bytes: int = 0  # after the last complete record
     cut: int = 0  # number of truncated files
     problems: list[str] = field(default_factory=list)  # descriptions, one per damaged file
 
 
-class _Found(NamedTuple):
+class _RecoveredMessage(NamedTuple):
     """One complete message."""
 
     topic: SalvagedTopic
@@ -49,8 +49,12 @@ class _Found(NamedTuple):
     data: bytes
 
 
-Found = Iterator[_Found | SalvagedTopic]  # messages of one file, then all its topics, also empty ones
-Part = Callable[[Callable[[float], None]], Found]  # reads one file; calls its argument with each share read
+RecoveredItems = Iterator[
+    _RecoveredMessage | SalvagedTopic
+]  # messages of one file, then all its topics, also empty ones
+ReadPart = Callable[
+    [Callable[[float], None]], RecoveredItems
+]  # reads one file; calls its argument with each share read
 
 
 def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda _: None) -> Recovery:
@@ -65,7 +69,7 @@ def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda 
         InputError: there is no bag at ``path``, or ``output`` exists or cannot be written.
     """
     recovery = Recovery(stated=_stated_count(path))
-    parts = _parts(path, recovery)
+    parts = _part_readers(path, recovery)
 
     def advance_in_part(share: float) -> None:
         advance(share / len(parts))
@@ -83,7 +87,7 @@ def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda 
     return recovery
 
 
-def _parts(path: Path, recovery: Recovery) -> list[Part]:
+def _part_readers(path: Path, recovery: Recovery) -> list[ReadPart]:
     """One reading function per MCAP file; a single one for other bags."""
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
@@ -91,11 +95,11 @@ def _parts(path: Path, recovery: Recovery) -> list[Part]:
     every = bag_files(path)
     files = [file for file in every if begins_with(file, MAGIC)]
     if files and not any(file.suffix == PACKED for file in every):
-        return [partial(_from_mcap, file, recovery) for file in files]
-    return [partial(_from_others, open_bag(path), recovery)]
+        return [partial(_read_mcap, file, recovery) for file in files]
+    return [partial(_read_other_bag, open_bag(path), recovery)]
 
 
-def _from_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None]) -> Found:
+def _read_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None]) -> RecoveredItems:
     file = DamagedFile(path)
     problem, shown = "", 0.0
     try:
@@ -104,7 +108,7 @@ def _from_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None])
                 advance(file.share_read - shown)
                 shown = file.share_read
             topic = file.topics[message.channel_id]
-            yield _Found(topic, message.log_time, message.publish_time, message.data)
+            yield _RecoveredMessage(topic, message.log_time, message.publish_time, message.data)
     except OSError as error:  # a bad disk: earlier messages are kept
         problem = error.strerror or "unreadable"
     advance(1.0 - shown)
@@ -115,7 +119,7 @@ def _from_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None])
         recovery.problems.append(f"{path.name}: {problem or file.problem}")
 
 
-def _from_others(bag: Bag, recovery: Recovery, advance: Callable[[float], None]) -> Found:
+def _read_other_bag(bag: Bag, recovery: Recovery, advance: Callable[[float], None]) -> RecoveredItems:
     """Messages of SQLite files, which SQLite repairs when it opens them, or of compressed files."""
     topics = {name: _topic(name, info) for name, info in bag.topics.items()}
     if bag.damage:
@@ -123,9 +127,11 @@ def _from_others(bag: Bag, recovery: Recovery, advance: Callable[[float], None])
     with bag:
         try:
             for k, message in enumerate(bag.messages()):
-                if k > 0 and k % _SHOWN == 0:
-                    advance(_SHOWN / bag.message_count)
-                yield _Found(topics[message.topic], message.log_time_ns, message.log_time_ns, message.raw)
+                if k > 0 and k % _PROGRESS_STEP == 0:
+                    advance(_PROGRESS_STEP / bag.message_count)
+                yield _RecoveredMessage(
+                    topics[message.topic], message.log_time_ns, message.log_time_ns, message.raw
+                )
         except InputError as error:
             recovery.problems.append(str(error))
     yield from topics.values()
@@ -140,21 +146,21 @@ def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
     return SalvagedTopic(name, info.type_name, schema, "")
 
 
-def _copy(part: Found, bag: BagWriter, recovery: Recovery) -> None:
+def _copy(part: RecoveredItems, bag: BagWriter, recovery: Recovery) -> None:
     for item in part:
-        topic = item.topic if isinstance(item, _Found) else item
+        topic = item.topic if isinstance(item, _RecoveredMessage) else item
         try:
             if topic.topic not in bag.topics:
-                bag.add_topic(topic.topic, topic.type_name, _present_qos(topic.qos_yaml), topic.schema)
-            if isinstance(item, _Found):
+                bag.add_topic(topic.topic, topic.type_name, _current_qos(topic.qos_yaml), topic.schema)
+            if isinstance(item, _RecoveredMessage):
                 _write(item, bag, recovery)
         except InputError:  # the topic exists with another type
-            recovery.refused += isinstance(item, _Found)
+            recovery.rejected += isinstance(item, _RecoveredMessage)
 
 
-def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
+def _write(found: _RecoveredMessage, bag: BagWriter, recovery: Recovery) -> None:
     if not found.data.startswith(_CDR):
-        recovery.refused += 1
+        recovery.rejected += 1
         return
     topic = found.topic
     bag.write(topic.topic, topic.type_name, found.data, found.log_time_ns, found.publish_time_ns)
@@ -172,7 +178,7 @@ def _stated_count(path: Path) -> int | None:
     return count if isinstance(count, int) else None
 
 
-def _present_qos(text: str) -> str:
+def _current_qos(text: str) -> str:
     """QoS profiles of a bag of any version in the current form; an empty list if unreadable."""
     try:
         profiles = dump_qos_v9(parse_qos(text))

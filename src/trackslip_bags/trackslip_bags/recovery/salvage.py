@@ -19,10 +19,9 @@ from mcap.stream_reader import breakup_chunk
 from mcap.well_known import MessageEncoding
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
-from trackslip_bags.metadata import LATEST_NS, MOST_TOPICS
+from trackslip_bags.metadata import LATEST_NS, MAX_TOPICS
 from trackslip_bags.metadata import Schema as KnownSchema
-from trackslip_bags.unpacking import is_packed, plain
-from trackslip_bags.unpacking import message as unpacked_message
+from trackslip_bags.unpacking import decompress_chunk, decompress_message, is_packed
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: opcode (1), length (8)
@@ -84,12 +83,12 @@ class DamagedFile:
         with self.path.open("rb") as stream:
             self._read_summary(stream)
             for opcode, content in self._records(stream):
-                for record in self._inside(opcode, content):
+                for record in self._parse_records(opcode, content):
                     if isinstance(record, Message):
                         if self._is_usable(record):
                             yield record
                     else:
-                        self._take(record)
+                        self._add_record(record)
 
     def _read_summary(self, stream: IO[bytes]) -> None:
         """Read channels from the summary, if the file is complete: its first chunk may be damaged."""
@@ -99,7 +98,7 @@ class DamagedFile:
             summary = None
         if summary is not None:
             for record in (*summary.schemas.values(), *summary.channels.values()):
-                self._take(record)
+                self._add_record(record)
         stream.seek(0)
 
     def _records(self, stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -123,12 +122,12 @@ class DamagedFile:
             yield opcode, stream.read(length)
         self.is_cut = stream.read(len(MAGIC) + 1) != MAGIC
 
-    def _inside(self, opcode: int, content: bytes) -> list[object]:
+    def _parse_records(self, opcode: int, content: bytes) -> list[object]:
         """The schemas, channels and messages in a record; none if it fails its checks."""
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.CHUNK:
-                return list(breakup_chunk(plain(Chunk.read(stream)), validate_crc=True))
+                return list(breakup_chunk(decompress_chunk(Chunk.read(stream)), validate_crc=True))
             if opcode == Opcode.MESSAGE:
                 return [Message.read(stream, len(content))]
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -140,11 +139,11 @@ class DamagedFile:
                 self.bad_records += 1
         return []
 
-    def _take(self, record: object) -> None:
+    def _add_record(self, record: object) -> None:
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel) and record.message_encoding == MessageEncoding.CDR:
-            if record.id not in self.topics and len(self.topics) >= MOST_TOPICS:
+            if record.id not in self.topics and len(self.topics) >= MAX_TOPICS:
                 self.bad_records += 1
                 return
             try:
@@ -156,7 +155,7 @@ class DamagedFile:
         usable = message.channel_id in self.topics and message.log_time <= LATEST_NS
         if usable and is_packed(message.data):
             try:
-                message.data = unpacked_message(message.data)
+                message.data = decompress_message(message.data)
             except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the library)
                 usable = False
         self.bad_records += not usable

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_bags.messages import make, serialize
-from trackslip_bags.reader import absolute
+from trackslip_bags.reader import absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
 from trackslip_drivers import conversions
@@ -41,7 +41,7 @@ class Recording:
             topic: iter(self._serializers.get(topic, _serialize_each)(records))
             for topic, records in self._records.items()
         }
-        known = {topic: (absolute(topic), TOPICS[topic].type_name) for topic in messages}
+        known = {topic: (absolute_name(topic), TOPICS[topic].type_name) for topic in messages}
         for topic, log_time_ns in self._order:
             self._bag.write(*known[topic], next(messages[topic]), log_time_ns)
         self._order.clear()

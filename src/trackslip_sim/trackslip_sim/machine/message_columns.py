@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import serialize
-from trackslip_bags.types import ensure, fields_by
+from trackslip_bags.types import ensure_type, fields_by
 from trackslip_common.layout import Layout
 
 Columns = Mapping[str, NDArray[Any]]
@@ -42,7 +42,7 @@ class MessageColumns:
     def __init__(self, blank: Any) -> None:
         self._blank = serialize(blank)
         type_name = blank.__msgtype__
-        self._fields = Layout(fields_by(ensure(type_name)), type_name, self._blank).dtype
+        self._fields = Layout(fields_by(ensure_type(type_name)), type_name, self._blank).dtype
 
     def serialize(self, columns: Columns) -> list[bytes]:
         """CDR of the blank with the values of each row: one message per row."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.input_filters import relative
+from trackslip_bags.input_filters import relative_name
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_common.arrays import FloatArray
@@ -158,7 +158,7 @@ def read_recording(
 
 def _compass_request(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
     """Request of (n, 2) heading and its variance, for the message type in the bag."""
-    types = {relative(name): info.type_name for name, info in bag.topics.items()}
+    types = {relative_name(name): info.type_name for name, info in bag.topics.items()}
     is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
 
     def values(rows: Rows) -> FloatArray:
@@ -213,7 +213,7 @@ def _read_series(
         newest_ns = max((int(table.log_times_ns.max()) for table in stretch.values()), default=reached_ns)
         advance(max(newest_ns - reached_ns, 0) * 1e-9)
         reached_ns = max(newest_ns, reached_ns)
-        tables = {relative(name): table for name, table in stretch.items()}
+        tables = {relative_name(name): table for name, table in stretch.items()}
         for one, own in zip(requested, parts, strict=True):
             if one.topic in tables:
                 own.append(one.valid_readings(_topic_rows(bag, one, tables[one.topic])))

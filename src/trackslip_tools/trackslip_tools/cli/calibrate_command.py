@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from trackslip_bags.input_filters import relative
+from trackslip_bags.input_filters import relative_name
 from trackslip_bags.reader import Bag, open_bag, require_topics
 from trackslip_common.errors import ExitCode, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
     """Topics of gyro and poses; '' if there is none."""
-    there = {relative(topic) for topic, info in bag.topics.items() if info.count}
+    there = {relative_name(topic) for topic, info in bag.topics.items() if info.count}
     gyro = args.gyro or next((source for source in p.yaw_rate_sources if source in there), "")
     poses = args.poses or next((s for s in (*p.pose_sources, _REFERENCE) if s in there), "")
-    return relative(gyro), relative(poses)
+    return relative_name(gyro), relative_name(poses)

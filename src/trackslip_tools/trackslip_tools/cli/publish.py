@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.playback import Playback, played, played_topics
+from trackslip_bags.playback import Playback, played_messages, played_topics
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError, show, suggestion
 from trackslip_tools.cli.nodes import load_node_module, shorten_logs
@@ -76,8 +76,10 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
         if f"/{edit.topic}" not in topics:
             like = suggestion(f"/{edit.topic}", sorted(topics))
             raise InputError(f"--withhold {edit.topic}: there is no such topic{like}")
-    playback = Playback(partial(played, bag, filters, topics), args.rate or 1.0, args.paused, args.loop)
-    if playback.finished:
+    playback = Playback(
+        partial(played_messages, bag, filters, topics), args.rate or 1.0, args.paused, args.loop
+    )
+    if playback.is_finished:
         raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")
     with Keyboard() as keyboard, _playback_bar(bag) as progress:
         code: int = player.play(playback, topics, keyboard.read_keys, progress)

@@ -42,8 +42,8 @@ def _loss_lines(recovery: Recovery) -> list[str]:
     lines = list(recovery.problems)
     if recovery.lost_bytes:
         lines.append(f"lost: {recovery.lost_bytes} bytes behind the last whole chunk")
-    if recovery.refused:
-        lines.append(f"lost: {recovery.refused} messages that are not CDR, or of a topic with two types")
+    if recovery.rejected:
+        lines.append(f"lost: {recovery.rejected} messages that are not CDR, or of a topic with two types")
     if recovery.stated is not None and recovery.stated > recovery.messages:
         lines.append(f"lost: {recovery.stated - recovery.messages} of {recovery.stated} messages")
     elif recovery.cut:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
+from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative_name
 from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, namespaces, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
@@ -75,7 +75,7 @@ class ReplayOptions:
     @property
     def reference_topic(self) -> str | None:
         """The topic without a leading slash."""
-        return relative(self.reference) if self.reference else None
+        return relative_name(self.reference) if self.reference else None
 
 
 def options_of(args: argparse.Namespace) -> ReplayOptions:
@@ -169,7 +169,7 @@ def soil_parameters_of(
     Raises:
         InputError: a file, a name or a value is rejected.
     """
-    if not any(relative(topic) == HYDRAULICS for topic in bag.topics):
+    if not any(relative_name(topic) == HYDRAULICS for topic in bag.topics):
         return None
     if p.vehicle.missing_groups_message:
         show(f"soil: {p.vehicle.missing_groups_message}: no forces and no soil are estimated")
@@ -256,7 +256,7 @@ def read_settings(
 
 def check_setup(bag: Bag, vehicle: str | None = None) -> Result | None:
     """Print and return the result of the setup check of a whole bag; None without sprockets."""
-    if not any(relative(topic) == SPROCKETS for topic in bag.topics):
+    if not any(relative_name(topic) == SPROCKETS for topic in bag.topics):
         return None
     with collect_output():  # suppresses the line on the vehicle, printed with the rest
         p = parameters_of(bag, [], [], vehicle)
@@ -280,7 +280,10 @@ def require_named_topics(
         InputError: an option names an unknown topic.
     """
     require_topics(bag, filters.remap)
-    types = {filters.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
+    types = {
+        filters.remap.get(relative_name(t), relative_name(t)): info.type_name
+        for t, info in bag.topics.items()
+    }
     if reference is not None and reference not in types:
         require_topics(bag, [reference])
         renamed = f"--remap reads it as {filters.remap[reference]}"

@@ -5,10 +5,10 @@
 from functools import partial
 from typing import Any
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.parameters import bag_parameters
-from trackslip_bags.playback import Playback, Played, played
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.playback import Playback, PlayedMessage, played_messages
+from trackslip_bags.reader import Bag, absolute_name
 from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import local_clock_ms
@@ -22,10 +22,10 @@ _COMMAND_TOPICS = (SET_POSE, POSE_SET)  # poses that are commands, not measureme
 def page_topics(bag: Bag) -> dict[str, str]:
     """Published topic → type, of the topics of the page that the bag has with that type, and of all poses."""
     return {
-        absolute(topic): info.type_name
+        absolute_name(topic): info.type_name
         for topic, info in bag.topics.items()
-        if inputs.TYPES.get(relative(topic), inputs.POSE_TYPE) == info.type_name
-        and relative(topic) not in _COMMAND_TOPICS
+        if inputs.TYPES.get(relative_name(topic), inputs.POSE_TYPE) == info.type_name
+        and relative_name(topic) not in _COMMAND_TOPICS
     }
 
 
@@ -40,8 +40,8 @@ class BagFeed:
         self._bag, self._state = bag, state
         self._topics = page_topics(bag)
         timeouts = timeouts_of(bag_parameters(bag))  # valid even after a start behind their message
-        state.set_timeouts({relative(source): timeout for source, timeout in timeouts.items()})
-        self._playback = Playback(partial(played, bag, filters, self._topics), rate)
+        state.set_timeouts({relative_name(source): timeout for source, timeout in timeouts.items()})
+        self._playback = Playback(partial(played_messages, bag, filters, self._topics), rate)
         self._is_over = False  # whether the last moment was shown
 
     @property
@@ -53,9 +53,9 @@ class BagFeed:
         """Play until now, and return the frame; after the end, the last values stay."""
         if self._is_over:
             return self._state.final_frame(_END_REASON)
-        newest: dict[str, Played] = {}
+        newest: dict[str, PlayedMessage] = {}
         for message in self._playback.due(wall_s):
-            name = relative(message.topic)
+            name = relative_name(message.topic)
             if name in inputs.EVERY_MESSAGE:
                 self._process(message)
             else:
@@ -69,6 +69,8 @@ class BagFeed:
     def _now_s(self) -> float:
         return (self._playback.bag_ns - self._bag.start_ns) * 1e-9
 
-    def _process(self, message: Played) -> None:
+    def _process(self, message: PlayedMessage) -> None:
         found = self._bag.deserialize(message.raw, self._topics[message.topic])
-        self._state.process(relative(message.topic), found, (message.log_time_ns - self._bag.start_ns) * 1e-9)
+        self._state.process(
+            relative_name(message.topic), found, (message.log_time_ns - self._bag.start_ns) * 1e-9
+        )

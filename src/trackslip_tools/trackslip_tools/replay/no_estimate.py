@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.reader import Bag
 from trackslip_common.orientations import is_heading_known
 from trackslip_common.tally import Tally
@@ -87,7 +87,7 @@ def _other_pose_topics(bag: Bag, filters: InputFilters, sources: Iterable[str]) 
     """Other topics of the bag that could be a pose source, and the option that names one."""
     pose = TOPICS["box_pose"].type_name
     names = [
-        filters.remap.get(relative(topic), relative(topic))
+        filters.remap.get(relative_name(topic), relative_name(topic))
         for topic, info in sorted(bag.topics.items())
         if info.type_name == pose and info.count
     ]

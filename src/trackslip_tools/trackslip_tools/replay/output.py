@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC
-from trackslip_bags.reader import absolute
+from trackslip_bags.reader import absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
@@ -112,7 +112,7 @@ class EstimateWriter:
         self._sequence, self._local, self._begun = 0, LocalOdometry(), False
 
     def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
+        self._bag.write(absolute_name(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
 
 
 def _learned_section(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:

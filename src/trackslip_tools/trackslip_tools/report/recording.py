@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
@@ -129,7 +129,7 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
     Raises:
         InputError: the bag is damaged.
     """
-    names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    names = {topic: filters.remap.get(relative_name(topic), relative_name(topic)) for topic in bag.topics}
     start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
     logged: dict[str, list[IntArray]] = {name: [] for name in names.values()}
     numbers = {name: NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}

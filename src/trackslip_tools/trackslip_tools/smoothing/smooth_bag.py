@@ -12,7 +12,7 @@ import numpy as np
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.reader import Bag, absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.arrays import Rows
 from trackslip_common.config_files import parameters_text
@@ -194,4 +194,4 @@ class SmoothedWriter:
                 self._write(SMOOTHED + topic, TOPICS[topic].type_name, message, estimate.stamp_ns)
 
     def _write(self, topic: str, type_name: str, message: Any, stamp_ns: int) -> None:
-        self._bag.write(absolute(topic), type_name, serialize(message), stamp_ns)
+        self._bag.write(absolute_name(topic), type_name, serialize(message), stamp_ns)
