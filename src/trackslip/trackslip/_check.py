@@ -52,10 +52,10 @@ def check(
     ):
         given = as_texts("params", params), setting_texts(settings), as_name("vehicle", vehicle)
         p = replay_options.parameters_of(opened, *given)
-        return of_result(check_bag(opened, p))
+        return check_of_result(check_bag(opened, p))
 
 
-def of_result(result: Result) -> SetupCheck:
+def check_of_result(result: Result) -> SetupCheck:
     """A ``SetupCheck`` from the result of the setup check."""
     return SetupCheck(result.causes, result.undetermined, result.facts, result.measured)
 

@@ -91,7 +91,7 @@ class Estimates:
         return path
 
 
-def of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
+def estimates_of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
     """Estimates from (n,) ESTIMATE in the order of their stamps."""
     tilt, swing = rows["tilt"], rows["swing"]
     return Estimates(
@@ -102,15 +102,15 @@ def of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
         twist_covariance=rows["twist_covariance"].copy(),
         slips=rows["slips"].copy(),
         slips_covariance=rows["slip_covariance"].copy(),
-        tilt=_where(tilt["known"], tilt["tilt"]),
-        tilt_covariance=_where(tilt["known"], tilt["covariance"]),
-        swing=_where(swing["known"], np.column_stack((swing["angle"], swing["rate"]))),
-        swing_covariance=_where(swing["known"], swing["covariance"]),
+        tilt=_nan_unless(tilt["known"], tilt["tilt"]),
+        tilt_covariance=_nan_unless(tilt["known"], tilt["covariance"]),
+        swing=_nan_unless(swing["known"], np.column_stack((swing["angle"], swing["rate"]))),
+        swing_covariance=_nan_unless(swing["known"], swing["covariance"]),
         datum=None if datum is None else (datum.latitude, datum.longitude, datum.altitude),
     )
 
 
-def _where(known: NDArray[Any], values: FloatArray) -> FloatArray:
+def _nan_unless(known: NDArray[Any], values: FloatArray) -> FloatArray:
     """The values where known, else nan."""
     found: FloatArray = values.copy()
     found[known == 0] = np.nan

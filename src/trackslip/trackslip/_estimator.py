@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from trackslip._replay import Result, replayed
+from trackslip._replay import Result, replay_open_bag
 from trackslip._values import json_text
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
@@ -27,14 +27,14 @@ from trackslip_tools.cli.replay_options import ReplayOptions
 REFERENCE = "reference_pose"  # topic to score against, no source
 
 # Role of a topic → list of sources of the estimator.
-_LISTS = {
+_SOURCE_LISTS = {
     "pose": "pose_sources",
     "imu": "yaw_rate_sources",
     "heading": "heading_sources",
     "odometry": "odometry_sources",
 }
-_HEADINGS = {"yaw", "heading", *QUATERNION}
-_WRITTEN = "biufU"  # numpy kinds that are written to a table of text without conversion
+_HEADING_FIELDS = {"yaw", "heading", *QUATERNION}
+_TEXT_KINDS = "biufU"  # numpy kinds that are written to a table of text without conversion
 
 
 class Estimator:
@@ -75,18 +75,20 @@ class Estimator:
         Raises:
             InputError: an argument has another form.
         """
-        topics = {topic: _in_full(topic, source) for topic, source in section("sources", sources).items()}
+        topics = {
+            topic: _expand_source(topic, source) for topic, source in section("sources", sources).items()
+        }
         self._mapping: dict[str, Any] = {
-            "time": _pair("time", time),
+            "time": _column_and_unit("time", time),
             "topics": topics,
             "vehicle": vehicle,
             "parameters": {
-                **_implied(topics),
+                **_implied_parameters(topics),
                 **flatten(section("parameters", {} if parameters is None else parameters)),
             },
         }
-        self._names = list(dict.fromkeys(_columns(self._mapping)))
-        self._mapping["csv"] = {"names": self._names, "delimiter": "comma"}
+        self._columns_used = list(dict.fromkeys(_column_names(self._mapping)))
+        self._mapping["csv"] = {"names": self._columns_used, "delimiter": "comma"}
         json_text("sources", self._mapping)
 
     def run(self, frame: Any) -> Result:
@@ -98,7 +100,7 @@ class Estimator:
         Raises:
             InputError: a column is missing or of another length, or a source, unit or parameter is rejected.
         """
-        table = _table(frame, self._names)
+        table = _table(frame, self._columns_used)
         with tempfile.TemporaryDirectory(prefix="trackslip_") as folder, announce_compilation():
             mapping, log, bag = (Path(folder) / name for name in ("sources", "frame.csv", "bag"))
             mapping.write_text(json_text("sources", self._mapping), encoding="utf-8")
@@ -107,51 +109,53 @@ class Estimator:
                 try:
                     imported = import_log([log], read_mapping(mapping), bag)
                     with open_bag(bag) as opened:
-                        notes += _notes(imported)
-                        return replayed(opened, ReplayOptions(), (None, (), None), notes, imported.datum)
+                        notes += _import_notes(imported)
+                        return replay_open_bag(
+                            opened, ReplayOptions(), (None, (), None), notes, imported.datum
+                        )
                 except InputError as error:
                     raise InputError(str(error).replace(f"{folder}/", "")) from error
 
 
-def _in_full(topic: str, source: object) -> dict[str, Any]:
+def _expand_source(topic: str, source: object) -> dict[str, Any]:
     """A source with ``(column, unit)`` expanded as in a mapping file."""
     where = f"sources: {topic}"
     return {
-        key: _pair(f"{where}.{key}", value) if isinstance(value, tuple) else value
+        key: _column_and_unit(f"{where}.{key}", value) if isinstance(value, tuple) else value
         for key, value in section(where, source).items()
     }
 
 
-def _pair(where: str, value: object) -> dict[str, Any]:
+def _column_and_unit(where: str, value: object) -> dict[str, Any]:
     """A column and its unit, as in a mapping file."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise InputError(f"{where}: {value!r} is not accepted; accepted: (column, unit)")
     return {"column": value[0], "unit": value[1]}
 
 
-def _implied(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _implied_parameters(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Parameters that sources imply: lists by role, ``use_heading`` of poses, and ``start`` without poses."""
-    lists: dict[str, list[str]] = {name: [] for name in _LISTS.values()}
+    lists: dict[str, list[str]] = {name: [] for name in _SOURCE_LISTS.values()}
     found: dict[str, Any] = {}
     for topic, source in topics.items():
         role = str(source.get("role", ROLE_OF_TOPIC.get(topic)))
-        if role not in _LISTS or topic == REFERENCE:
+        if role not in _SOURCE_LISTS or topic == REFERENCE:
             continue
-        lists[_LISTS[role]].append(topic)
-        if role == "pose" and not _HEADINGS & source.keys():
+        lists[_SOURCE_LISTS[role]].append(topic)
+        if role == "pose" and not _HEADING_FIELDS & source.keys():
             found[f"sources.{group_name(topic)}.use_heading"] = False
     start = {} if lists["pose_sources"] else {"start": "initial_pose"}
     return {**{name: topics or [""] for name, topics in lists.items()}, **start, **found}
 
 
-def _columns(tree: Any) -> Iterator[str]:
+def _column_names(tree: Any) -> Iterator[str]:
     """Names of all columns in a mapping."""
     if isinstance(tree, Mapping):
         for key, value in tree.items():
             if key in ("column", "new_when_changes"):
                 yield from value if isinstance(value, list) else [str(value)]
             else:
-                yield from _columns(value)
+                yield from _column_names(value)
 
 
 def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
@@ -185,12 +189,12 @@ def _cells(name: str, column: object) -> NDArray[Any]:
         return np.datetime_as_string(cells)
     if cells.dtype.kind == "O":
         return np.array([str(cell) for cell in cells])
-    if cells.dtype.kind not in _WRITTEN:
+    if cells.dtype.kind not in _TEXT_KINDS:
         raise InputError(f"frame: column '{name}' holds {cells.dtype}; accepted: numbers, dates or text")
     return cells
 
 
-def _notes(imported: Imported) -> Iterator[str]:
+def _import_notes(imported: Imported) -> Iterator[str]:
     """Notes on rows that are no measurements."""
     for topic, reasons in imported.left_out.items():
         for reason, count in reasons.items():

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Datum = tuple[float, float, float]
 
-_POLE = 90.0  # deg
+_MAX_LATITUDE = 90.0  # deg
 _SECOND_NS = 1_000_000_000
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
@@ -32,7 +32,7 @@ def write(path: Path, estimates: "Estimates", datum: Datum | None) -> None:
     Raises:
         InputError: the file cannot be written, or the format needs a datum.
     """
-    text = _FORMS[path.suffix](estimates, datum)
+    text = _WRITERS[path.suffix](estimates, datum)
     try:
         write_atomically(path, text)
     except OSError as error:
@@ -84,15 +84,19 @@ def _check_datum(datum: Datum) -> None:
     """Raise InputError for a datum outside of the Earth's ranges."""
     with suppress(TypeError, ValueError):
         latitude, longitude, altitude = map(float, datum)
-        if abs(latitude) <= _POLE and abs(longitude) <= 2.0 * _POLE and math.isfinite(altitude):
+        if (
+            abs(latitude) <= _MAX_LATITUDE
+            and abs(longitude) <= 2.0 * _MAX_LATITUDE
+            and math.isfinite(altitude)
+        ):
             return
     accepted = "datum=(latitude, longitude, altitude), deg, deg, m"
     raise InputError(f"save: {datum!r} is no datum; accepted: {accepted}")
 
 
-_FORMS: Mapping[str, Callable[["Estimates", Datum | None], str]] = {
+_WRITERS: Mapping[str, Callable[["Estimates", Datum | None], str]] = {
     ".csv": _csv,
     ".tum": _tum,
     ".geojson": _geojson,
 }
-SUFFIXES = tuple(_FORMS)
+SUFFIXES = tuple(_WRITERS)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trackslip._check import SetupCheck, of_result, setting_texts
-from trackslip._estimates import Estimates, of_rows
+from trackslip._check import SetupCheck, check_of_result, setting_texts
+from trackslip._estimates import Estimates, estimates_of_rows
 from trackslip._values import as_count, as_name, as_number, as_text, as_texts
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.compiling import announce_compilation
@@ -86,10 +86,10 @@ def replay(
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
         given = as_name("vehicle", vehicle), as_texts("params", params), settings
-        return replayed(opened, options, given, notes)
+        return replay_open_bag(opened, options, given, notes)
 
 
-def replayed(
+def replay_open_bag(
     bag: Bag,
     options: ReplayOptions,
     parameters: tuple[str | None, Sequence[str], Mapping[str, Any] | None],
@@ -105,9 +105,9 @@ def replayed(
     found = run.replay(bag, p, filters, reference, of_soil, lambda part: rows.add(part.estimates))
     remarks = (*([bag.damage] if bag.damage else []), *notes)
     return Result(
-        of_rows(sort_by_stamp(rows.rows()), datum),
+        estimates_of_rows(sort_by_stamp(rows.rows()), datum),
         summary(found, found.elapsed_s),
-        of_result(found.setup),
+        check_of_result(found.setup),
         remarks,
         text(found, found.elapsed_s),
     )
