@@ -73,8 +73,8 @@ def test_a_disk_that_fills_is_reported_an_hour_ahead(
     recorder: RecordNode, minutes: int, level: bytes
 ) -> None:
     free = minutes * 60_000_000
-    recorder._recording._space.add(free + 60_000_000, 0.0)
-    recorder._recording._space.add(free, 60.0)
+    recorder._recording._disk_watch.add(free + 60_000_000, 0.0)
+    recorder._recording._disk_watch.add(free, 60.0)
     health = recorder.health()[0]
     assert health.level == level
     assert health.values["disk full in (min)"] == minutes

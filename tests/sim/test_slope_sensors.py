@@ -124,7 +124,7 @@ def up_of(q: Any) -> tuple[float, float, float]:
 
 def test_an_antenna_leans_with_the_machine(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/gnss_pose"], truth.duration, 0.5)
-    antennas = np.array([p.point(*ANTENNA) for p in placements(truth, times)])
+    antennas = np.array([p.to_site(*ANTENNA) for p in placements(truth, times)])
     fixes = np.array([(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages])
     errors = fixes - antennas[:, :2]
     assert np.sqrt(np.mean(errors**2)) < 0.015

@@ -53,7 +53,7 @@ class Counted:
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
     found = Counted()
-    monkeypatch.setattr(soil_study, "run", found)
+    monkeypatch.setattr(soil_study, "run_trial", found)
     return found
 
 
@@ -73,7 +73,9 @@ def test_command_writes_rows_and_tables(
     shown, error = capsys.readouterr()
     whole = (tmp_path / "soil_table.md").read_text()
     assert whole.startswith(f"{TABLE_HEADER}\n")
-    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n")))
+    assert shown.startswith(
+        "vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n"))
+    )
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""
     lines = [line for line in whole.splitlines() if line.startswith("|")]
@@ -93,7 +95,7 @@ def trials_of(
     command: Sequence[str], monkeypatch: pytest.MonkeyPatch, code: int = 0, stop_at: int | None = None
 ) -> list[Trial]:
     counted = Counted(stop_at)
-    monkeypatch.setattr(soil_study, "run", counted)
+    monkeypatch.setattr(soil_study, "run_trial", counted)
     assert main(command) == code
     return counted.trials
 

@@ -67,7 +67,9 @@ def test_command_writes_rows_table_and_figures(
     shown, error = capsys.readouterr()
     whole = (tmp_path / "study_table.md").read_text()
     assert whole.startswith(f"{TABLE_HEADER}\n")
-    assert shown.startswith("vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n")))
+    assert shown.startswith(
+        "vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n"))
+    )
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error.removeprefix(f"{DESK_TEXT}\n") == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}

@@ -131,7 +131,7 @@ COMPILED_BEFORE = """
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from trackslip_estimation.box import fit, measurement_model
-from trackslip_estimation.box.clusters import beams_on
+from trackslip_estimation.box.clusters import object_beams
 
 def signatures():
     found = {**vars(fit), **vars(measurement_model)}
@@ -143,9 +143,9 @@ assert all(before[name] for name in ("_descend", "range_costs")), before
 box, angles = fit.Rectangle(0.7, 0.6), np.linspace(-1.57, 1.57, 361)
 ranges, outline = fit.ray_cast(np.array([[4.0, 1.0, 0.5]]), box, angles)
 on = np.flatnonzero((outline[0, 0] <= angles) & (angles <= outline[0, 1]))
-beams = beams_on(on, ranges[0], angles, box.diagonal, 0.05)
-start = fit.likely_starts(np.linspace(0.0, 1.0, 13), box, beams, 0.01)[0]
-fit.posterior(fit.most_likely(start, box, beams, 0.01), 0.5, box, beams, 0.01)
+beams = object_beams(on, ranges[0], angles, box.diagonal, 0.05)
+start = fit.likely_starting_poses(np.linspace(0.0, 1.0, 13), box, beams, 0.01)[0]
+fit.posterior(fit.fit_pose(start, box, beams, 0.01), 0.5, box, beams, 0.01)
 assert signatures() == before
 """
 

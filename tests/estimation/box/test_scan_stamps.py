@@ -140,7 +140,7 @@ def test_scan_of_clockwise_beams_gives_the_same_fix():
     usual = scan(1.0, there)
     turned = dataclasses.replace(
         usual,
-        stamp_ns=usual.time_ns(usual.ranges.size - 1),
+        stamp_ns=usual.beam_stamp_ns(usual.ranges.size - 1),
         ranges=usual.ranges[::-1],
         angle_min=-usual.angle_min,
         angle_increment=-usual.angle_increment,

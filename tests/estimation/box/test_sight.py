@@ -57,7 +57,7 @@ def clearance(truth: Truth, site: SiteParameters) -> float:
 SEEN = [  # others have another vehicle, or leave the level site
     name
     for name in scenario_names()
-    if not load_scenario(name).swings and load_scenario(name).terrain == FLAT
+    if not load_scenario(name).has_swing and load_scenario(name).terrain == FLAT
 ]
 
 

@@ -65,9 +65,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
     def configure(self) -> None:
         """Create all publishers, so that subscribers discover them."""
         self._topic_publishers = {
-            topic: self.count_send_failures(
-                self.create_publisher(message_class(kind), topic, _qos_of(topic))
-            )
+            topic: self.count_send_failures(self.create_publisher(message_class(kind), topic, _qos_of(topic)))
             for topic, kind in self._topics.items()
         }
         self._time = self.count_send_failures(self.create_publisher(ClockMessage, "/clock", 10))

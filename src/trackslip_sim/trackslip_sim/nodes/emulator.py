@@ -85,7 +85,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
     def _power_on(self) -> None:
         self._vehicle_publisher.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
         self._finished = False
-        self._failure = ""
+        self._failure_text = ""
         self._stopping = threading.Event()
         self._excavator = EmulatedExcavator(self.settings, self._truth, time.time_ns())
         self._thread = threading.Thread(
@@ -114,8 +114,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             return [Health(WARN, self._waiting_text())]
         if self._excavator is None or self._ports is None or not self.active:
             return [Health(OK, "inactive")]
-        if self._failure:
-            return [Health(ERROR, self._failure)]
+        if self._failure_text:
+            return [Health(ERROR, self._failure_text)]
         emitted = {f"emitted {topic}": n for topic, n in self._excavator.emitted().items()}
         active_faults = self._excavator.faults.active_faults(time.time_ns())
         values = {
@@ -159,8 +159,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                 tick_ns += TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
         except Exception as error:  # noqa: BLE001 (the thread ends, which /diagnostics must show)
-            self._failure = f"stopped: {describe_exception(error)}"
-            self.get_logger().error(self._failure)
+            self._failure_text = f"stopped: {describe_exception(error)}"
+            self.get_logger().error(self._failure_text)
 
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         at, stamp = self._truth.sample_at(excavator.sensors.time(stamp_ns)), stamp_columns([stamp_ns])

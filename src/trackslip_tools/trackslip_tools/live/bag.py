@@ -47,14 +47,14 @@ class BagFeed:
     @property
     def is_finished(self) -> bool:
         """Whether all messages were played."""
-        return self._playback.finished
+        return self._playback.is_finished
 
     def advance(self, wall_s: float) -> dict[str, Any]:
         """Play until now, and return the frame; after the end, the last values stay."""
         if self._is_over:
             return self._state.final_frame(_END_REASON)
         newest: dict[str, PlayedMessage] = {}
-        for message in self._playback.due(wall_s):
+        for message in self._playback.due_messages(wall_s):
             name = relative_name(message.topic)
             if name in inputs.EVERY_MESSAGE:
                 self._process(message)

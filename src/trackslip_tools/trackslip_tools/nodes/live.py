@@ -51,7 +51,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
         self._waiting: dict[str, deque[bytes]] = {}
         self._sources: dict[str, Subscription | None] = {}  # pose sources; None: invalid topic name
         for topic in inputs.TYPES:
-            self._subscribe(topic)
+            self._subscribe_raw(topic)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(PERIOD, self._send_frame, clock=steady)
         self.create_timer(_SOURCES_PERIOD_S, self._update_subscriptions, clock=steady)
@@ -74,7 +74,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
         assert self._server is not None
         return [Health(OK, f"serving {self._server.address}", self._server.counts)]
 
-    def _subscribe(self, topic: str) -> Subscription:
+    def _subscribe_raw(self, topic: str) -> Subscription:
         every = topic in inputs.EVERY_MESSAGE
         self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
         qos = latched_qos() if topic in inputs.LATCHED_TOPICS else best_effort_qos() if every else _NEWEST_QOS
@@ -96,7 +96,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
         for topic in stated - self._sources.keys():
             self._sources[topic] = None
             try:
-                self._sources[topic] = self._subscribe(topic)
+                self._sources[topic] = self._subscribe_raw(topic)
             except InvalidTopicNameException as error:
                 self._waiting.pop(topic)
                 self.callback_failures.add(inputs.PARAMETERS, error)

@@ -166,7 +166,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _is_contradicted(window, s, k, c) or _is_jump_test_due(window, s, k, c):
         return True
-    if has_hidden_change(window, s, k, c) or _log_odds_of_late_stamps(measurement, before, c) > 0.0:
+    if has_hidden_change(window, s, k, c) or _log_odds_of_stamp_delay(measurement, before, c) > 0.0:
         return True
     if has_failed_unit(before) and measurement.kind in (POSE, VELOCITY):
         return True
@@ -181,7 +181,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
 
 
 @compiled
-def _log_odds_of_late_stamps(m: MeasurementRecord, before: State, c: Config) -> float:
+def _log_odds_of_stamp_delay(m: MeasurementRecord, before: State, c: Config) -> float:
     """ln of the odds that all fixes up to this one have late or early stamps; −∞ of other measurements."""
     is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE)
     return log_odds_of_delay(before, m.source, c) if is_fix else -math.inf
@@ -225,7 +225,7 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
         odds = log_odds_of_hidden_change(window, p, k, event, c)
         if odds > -c.bank.spawns:
             add_child(window, p, k, event, source, 0, False, odds, c)
-    late = _log_odds_of_late_stamps(m, before, c)
+    late = _log_odds_of_stamp_delay(m, before, c)
     if late > 0.0:
         add_child(window, p, k, LATE, source, 0, False, late, c)
     if m.kind == POSE:
