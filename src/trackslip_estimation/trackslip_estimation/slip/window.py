@@ -65,13 +65,13 @@ class Status(Record):
     played: int  # number of events of the script so far
     begun: int  # number of events of the script up to the first entry
     pooled: int  # entries of the pool in use while children are created
-    time_left_ns: int  # that further children may repeat
+    share_left: float  # of the steps or the time that children may repeat
     clock: Clock
 
 
 WINDOW = dtype_of(Status)
 
-MOST_BRANCHES, POOL = 10, 64  # branches of a row, without and with children
+MOST_BRANCHES, POOL = 10, 128  # branches of a row, without and with children
 SPARE = 8  # free entries of a full window; the last one holds an arrival before its insertion
 
 

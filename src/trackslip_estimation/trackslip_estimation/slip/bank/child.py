@@ -89,15 +89,15 @@ def add_child(
 ) -> None:
     """Add to the pool a child of branch p: an event just before measurement k, or ``since`` the snapshot.
 
-    Nothing is added if the pool is full, or if the child would repeat more than the time that is left.
+    Nothing is added if the pool is full, or if the child would repeat more than the share that is left.
     """
     status, before, m = window.status[0], window.branches[p, k - 1], window.measurements[k]
     snapshot = before.snapshots[OLDER]
     first, h = snapshot.entry + 1 if since else k, status.pooled
-    repeated_ns = m.stamp_ns - window.measurements[snapshot.entry if since else k].stamp_ns
-    if status.time_left_ns < repeated_ns or h == POOL:
+    share = _share(m.stamp_ns - window.measurements[first - 1].stamp_ns, k + 1 - first, c) if since else 0.0
+    if share > status.share_left or h == POOL:
         return
-    status.pooled, status.time_left_ns = h + 1, status.time_left_ns - repeated_ns
+    status.pooled, status.share_left = h + 1, status.share_left - share
     state, branch, update = window.pool_states[h], window.pool_branches[h], window.pool_updates[h]
     window.pool_branches[h] = before
     if since:
@@ -114,6 +114,12 @@ def add_child(
     e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
     update.opened = event
     update.reset_states = apply_event(state, e, c)
+
+
+@compiled
+def _share(repeated_ns: int, steps: int, c: Config) -> float:
+    """Share of what the children of one measurement may repeat: of its time or of its steps, if smaller."""
+    return float(min(repeated_ns * 1e-9 / c.bank.child_time, steps / c.bank.steps))
 
 
 @compiled

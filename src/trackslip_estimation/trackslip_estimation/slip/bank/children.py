@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+_SLIP_TIME = 0.5  # s in which an implausible slip costs a branch its penalty once
 _WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
 
 
@@ -97,7 +98,7 @@ def create_children(window: Window, k: int, c: Config) -> int:
         branch.weight = 0.0
         return 1
     status = window.status[0]
-    status.pooled, status.time_left_ns = copy_row_to_pool(window, k), int(c.bank.child_time * 1e9)
+    status.pooled, status.share_left = copy_row_to_pool(window, k), 1.0
     parents = [p for p in range(count) if _is_parent(window, p, k, c)]
     for p in parents:
         _make_children(window, p, k, c)
@@ -119,14 +120,14 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
+    elapsed_s = (measurement.stamp_ns - window.states[s, k - 1].last_ns[source]) * 1e-9
     branch.fresh = 0
     if fault != IS_HEALTHY:
-        elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
-        branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
+        branch.weight -= elapsed_s / c.events.fault_time
     for unit in range(MOST_SOURCES):
         if measurement.kind in (POSE, VELOCITY) and is_failed(state.fault[unit]):
-            elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
-            branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
+            branch.weight -= elapsed_s / c.events.fault_time
+    branch.weight -= slip_range_penalty(state, c) * min(elapsed_s / _SLIP_TIME, 1.0)
     follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
     if measurement.kind == VELOCITY:  # at standstill slip is not observable
         follows = fault == IS_HEALTHY and state.motion.motion != _STANDING
@@ -134,7 +135,6 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
             branch.cusum[i] = max(branch.cusum[i] + min(e, c.bank.cusum_largest) - c.bank.cusum_drift, 0.0)
-    branch.weight -= slip_range_penalty(state, c)
 
 
 @compiled

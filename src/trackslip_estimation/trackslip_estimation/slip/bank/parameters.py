@@ -18,10 +18,9 @@ class BankParameters(Parameters):
         gt=0.0,
     )
     spawns: float = parameter("ln of the odds against a branch, beyond which it gets no children", gt=0.0)
+    steps: int = parameter("steps that all children of one measurement may repeat", ge=1)
     child_time: float = parameter(
-        "largest total time that the children of one measurement repeat, whatever the rate of the sensors",
-        unit="s",
-        gt=0.0,
+        "time that they may repeat instead, if that is more: at high rates of the sensors", unit="s", gt=0.0
     )
     cusum_drift: float = parameter("drift of the CUSUM of innovations, in standard deviations", gt=0.0)
     cusum_limit: float = parameter("CUSUM beyond which a branch gets children", gt=0.0)

@@ -64,23 +64,17 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
     for k in range(first, count):
         if closing < k:  # entry of the next sprocket sample
             closing = next_sample(measurements, k, count)
-        was = window.counts[k] = window.counts[k - 1]
-        for s in range(was):
+        existing = window.counts[k] = window.counts[k - 1]
+        for s in range(existing):
             states[s, k], branches[s, k] = states[s, k - 1], branches[s, k - 1]
             branches[s, k].first = k
-        jobs, weighs, j, closes = was, is_weighed(measurements[k]) and not scripted, 0, closing
+        jobs, weighs, j, closes = existing, is_weighed(measurements[k]) and not scripted, 0, -1
         prior = prior_of(window, k)
         while j < jobs:
-            state = states[j, k] if j < was else window.pool_states[j]
-            branch = branches[j, k] if j < was else window.pool_branches[j]
-            update = (
-                window.updates[k]
-                if j == 0
-                else window.branch_updates[j]
-                if j < was
-                else window.pool_updates[j]
-            )
-            if j < was:
+            state = states[j, k] if j < existing else window.pool_states[j]
+            branch = branches[j, k] if j < existing else window.pool_branches[j]
+            update = update_of(window, j, k) if j < existing else window.pool_updates[j]
+            if j < existing:
                 update.opened, update.reset_states = NONE, 0
                 if scripted:
                     apply_scripted_events(window, k, 0, c)
@@ -97,20 +91,26 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
                 if is_weighed(measurements[k]):
                     compare_fix(window, k, c)
             j += 1
-            if j == was and weighs:
+            if j == existing and weighs:
                 jobs = create_children(window, k, c)
         if scripted:
             apply_scripted_events(window, k, 1, c)
         else:
-            if weighs:
-                prune_row(window, k, jobs, c)
-                reset_receivers_after_turn(window, k, c)
-            advance_snapshots(window, k, c)
-            if is_moving_without_heading(states[0, k]):
-                split_unknown_heading(window, k, c)
+            finish_row(window, k, jobs, weighs, c)
         if not is_finite_state(states[0, k], c.size):
             return False
     return True
+
+
+@compiled
+def finish_row(window: Window, k: int, jobs: int, weighs: bool, c: Config) -> None:
+    """Prune row k of ``jobs`` branches and children if measurement k weighed them; split unknown headings."""
+    if weighs:
+        prune_row(window, k, jobs, c)
+        reset_receivers_after_turn(window, k, c)
+    advance_snapshots(window, k, c)
+    if is_moving_without_heading(window.states[0, k]):
+        split_unknown_heading(window, k, c)
 
 
 @compiled
@@ -169,10 +169,9 @@ def prune_row(window: Window, k: int, jobs: int, c: Config) -> None:
     if jobs > 1:
         _equalize_tied_evidence(window, count, measurement.source)
         for h in range(jobs):
-            if not is_finite_state(window.pool_states[h], c.size) or math.isnan(
-                window.pool_branches[h].weight
-            ):
-                window.pool_branches[h].weight = -math.inf
+            branch, state = window.pool_branches[h], window.pool_states[h]
+            if not is_finite_state(state, c.size) or math.isnan(branch.weight):
+                branch.weight = -math.inf
         for h in range(count, jobs):
             branch, state = window.pool_branches[h], window.pool_states[h]
             branch.weight -= slip_range_penalty(state, c)
