@@ -18,7 +18,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.log import best_branch_script, make_log, run_log
-from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import HeadingFix, Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
@@ -34,6 +34,20 @@ def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -
 
 def moved(fix: PoseFix, east: float, north: float) -> PoseFix:
     return replace(fix, pose=fix.pose + np.array((east, north, 0.0)))
+
+
+def with_compass(recording: Recording, measurements: list[Measurement], rate: int) -> list[Measurement]:
+    """The measurements with those of a compass at ``rate`` Hz, with white errors of 0.03 rad."""
+    random, stddev = np.random.default_rng(100), 0.03
+    times = np.arange(0.0, recording.t[-1], 1.0 / rate)
+    true = np.interp(times, recording.t, recording.poses[:, 2])
+    shown = true + stddev * random.standard_normal(times.size)
+    stamps = (S + np.round(times * S)).astype(np.int64).tolist()
+    headings = [
+        HeadingFix("compass", stamp_ns, float(h), stddev**2)
+        for stamp_ns, h in zip(stamps, shown, strict=True)
+    ]
+    return sorted([*measurements, *headings], key=lambda m: m.stamp_ns)
 
 
 def errors(
@@ -336,6 +350,40 @@ def test_estimate_follows_fixes_while_every_other_count_is_lost(fastest: float) 
     assert np.mean(nees[t > begin] > 13.8) < 0.06
     happened = [e.event for e in estimator.read_events() if e.source == "sprockets"]
     assert happened == [Event.FAILED, Event.RECOVERED]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_encoder_that_fails_is_found_beside_a_compass_at_20_hz(seed: int) -> None:
+    """Headings between two fixes must not shorten the time before now at which an event is looked for."""
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
+    recording = drive(machine)
+    broken = [
+        replace(m, right_speed=-m.right_speed)
+        if isinstance(m, Sprockets) and 21 * S <= m.stamp_ns < 31 * S
+        else m
+        for m in recording.measurements
+    ]
+    p = parameters(**GNSS, heading_sources=["compass"])
+    error, nees, _ = errors(with_compass(recording, broken, 20), recording, p)
+    assert np.sqrt(np.mean(error**2)) < 0.15
+    assert np.mean(nees > 13.8) < 0.05
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("factor", [-1.0, 0.0])
+def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
+    recording = drive(replace(machine, sensor_rate=100))
+    fails = range(21 * S, 36 * S)
+    broken = [
+        replace(m, rate=factor * m.rate) if isinstance(m, YawRate) and m.stamp_ns in fails else m
+        for m in recording.measurements
+    ]
+    measurements, p = with_compass(recording, broken, 50), parameters(**GNSS, heading_sources=["compass"])
+    error, nees, _ = errors(measurements, recording, p)
+    assert np.sqrt(np.mean(error**2)) < 0.06
+    assert np.mean(nees > 13.8) < 0.03
+    assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
 
 
 @pytest.mark.parametrize("fix_rate", [1, 2, 5, 10])

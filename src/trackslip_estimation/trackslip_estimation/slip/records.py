@@ -265,7 +265,7 @@ class Snapshot(Record):
     entry: int
     slot: int  # number of the branch in the row of that entry
     weight: float  # w at that entry
-    weighed: int  # measurements since then that weighed the branch
+    fixes: int  # number of fixes since then
 
 
 OLDER, YOUNGER = range(2)  # snapshots: start of children now, and its successor

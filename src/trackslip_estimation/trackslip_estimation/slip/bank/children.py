@@ -21,6 +21,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     correlated_penalty,
     has_recent_fix,
     make_earlier_children,
+    make_gyro_failure_child,
     make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
@@ -369,3 +370,4 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         add_child(window, p, k, SWUNG, source, MEASURED, False, jumped, c)
     if m.kind == HEADING:
         add_child(window, p, k, TURNED, source, MEASURED, False, jumped, c)
+        make_gyro_failure_child(window, p, k, c)

@@ -101,7 +101,7 @@ def make_sector_children(
 @compiled
 def _is_probably_outlier(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether a first contradiction by a source is an outlier: an earlier event affects the next one too."""
-    is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0
+    is_first = window.branches[p, k - 1].snapshots[OLDER].fixes == 0
     is_calm = window.branches[p, k].cusum.max() <= c.bank.cusum_limit
     share = window.states[p, k - 1].outlier_share[window.measurements[k].source]
     return bool(is_first and is_calm and share > c.bank.often_outliers)
@@ -143,7 +143,7 @@ def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Co
     its range indicates lost counts; their event replaces the slip event in the prior of the branch.
     """
     before = window.states[p, k - 1]
-    if _is_heading_unknown(before) or math.isinf(c.gate_limits[1]):  # infinite gate: everything is used
+    if not _can_show_failures(before, c):
         return
     for unit in range(MOST_SOURCES):
         if c.shows_motion[unit] == 1 and before.fault[unit] == IS_HEALTHY:
@@ -157,6 +157,20 @@ def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Co
         add_child_since_snapshot(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
+
+
+@compiled
+def make_gyro_failure_child(window: Window, p: int, k: int, c: Config) -> None:
+    """Add the child of p in which the gyros have not measured the yaw rate; heading k contradicts p."""
+    before = window.states[p, k - 1]
+    if _can_show_failures(before, c) and c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
+        add_child_since_snapshot(window, p, k, FAILED, GYROS, 0, 0.0, c)
+
+
+@compiled
+def _can_show_failures(before: State, c: Config) -> bool:
+    """Whether the heading is known, and the gate is finite; with an infinite one everything is used."""
+    return bool(not _is_heading_unknown(before) and not math.isinf(c.gate_limits[1]))
 
 
 @compiled

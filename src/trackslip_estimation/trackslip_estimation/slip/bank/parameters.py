@@ -28,7 +28,7 @@ class BankParameters(Parameters):
         "largest contribution of one innovation to the CUSUM, in standard deviations", gt=0.0
     )
     cusum_calm: float = parameter("CUSUM below which a measurement is consistent with a branch", gt=0.0)
-    look_back: int = parameter("largest number of measurements since the start of a child", ge=1)
+    look_back: int = parameter("largest number of fixes since the start of a child", ge=1)
     look_back_time: float = parameter("longest time before now at which children start", unit="s", gt=0.0)
     shortest_time: float = parameter("shortest time in the prior of an event", unit="s", gt=0.0)
     slip_excess: float = parameter("standard deviation of the common slip outside its range", gt=0.0)

@@ -41,7 +41,7 @@ from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.records import OLDER, POSE, VELOCITY, YOUNGER
+from trackslip_estimation.slip.records import OLDER, POSE, YOUNGER
 from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_IGNORED, is_trusted
 from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.step import step
@@ -204,9 +204,9 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
     for s in range(window.counts[k]):
         branch, state = window.branches[s, k], window.states[s, k]
         update = update_of(window, s, k)
-        if measurement.kind != VELOCITY:  # a velocity observes events since the previous one only
+        if measurement.kind == POSE:  # only fixes observe how far the machine has moved since the snapshot
             for snapshot in branch.snapshots:
-                snapshot.weighed += 1
+                snapshot.fixes += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
         if branch.fresh == 1 or agrees:
@@ -218,20 +218,20 @@ def _reset_snapshots(window: Window, s: int, k: int) -> None:
     """Set the snapshots of branch s to row k, from which its children start."""
     branch = window.branches[s, k]
     for snapshot in branch.snapshots:
-        snapshot.entry, snapshot.slot, snapshot.weight, snapshot.weighed = k, s, branch.weight, 0
+        snapshot.entry, snapshot.slot, snapshot.weight, snapshot.fixes = k, s, branch.weight, 0
 
 
 @compiled
 def advance_snapshots(window: Window, k: int, c: Config) -> None:
-    """Replace the older snapshot after half of ``look_back_time``, or of ``look_back`` measurements."""
+    """Replace the older snapshot after half of ``look_back_time``, or of ``look_back`` fixes."""
     stamp_ns, longest_ns = window.measurements[k].stamp_ns, c.bank.look_back_time * 1e9
     for s in range(window.counts[k]):
         branch = window.branches[s, k]
         younger = branch.snapshots[YOUNGER]
         age_ns = stamp_ns - window.measurements[younger.entry].stamp_ns
-        if age_ns > longest_ns / 2.0 or younger.weighed >= c.bank.look_back / 2.0:
+        if age_ns > longest_ns / 2.0 or younger.fixes >= c.bank.look_back / 2.0:
             branch.snapshots[OLDER] = younger
-            younger.entry, younger.slot, younger.weight, younger.weighed = k, s, branch.weight, 0
+            younger.entry, younger.slot, younger.weight, younger.fixes = k, s, branch.weight, 0
 
 
 @compiled
