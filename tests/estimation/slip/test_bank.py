@@ -18,7 +18,14 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.log import best_branch_script, make_log, run_log
-from trackslip_estimation.slip.measurements import HeadingFix, Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import (
+    HeadingFix,
+    Measurement,
+    PoseFix,
+    Sprockets,
+    VelocityFix,
+    YawRate,
+)
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
@@ -48,6 +55,21 @@ def with_compass(recording: Recording, measurements: list[Measurement], rate: in
         for stamp_ns, h in zip(stamps, shown, strict=True)
     ]
     return sorted([*measurements, *headings], key=lambda m: m.stamp_ns)
+
+
+def with_velocities(recording: Recording, measurements: list[Measurement], rate: int) -> list[Measurement]:
+    """The measurements with velocities at ``rate`` Hz, with white errors of 0.05 m/s."""
+    random, stddev = np.random.default_rng(100), 0.05
+    times = np.arange(1.0, recording.t[-1], 1.0 / rate)
+    shown = np.column_stack(
+        [np.interp(times, recording.t, np.gradient(recording.poses[:, k], recording.t)) for k in (0, 1)]
+    )
+    shown = shown + stddev * random.standard_normal(shown.shape)
+    velocities = [
+        VelocityFix("fix_velocity", S + round(t * S), velocity, stddev**2 * np.eye(2))
+        for t, velocity in zip(times.tolist(), shown, strict=True)
+    ]
+    return sorted([*measurements, *velocities], key=lambda m: m.stamp_ns)
 
 
 def errors(
@@ -384,6 +406,22 @@ def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.06
     assert np.mean(nees > 13.8) < 0.03
     assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_encoder_that_shows_0_is_found_beside_velocities_of_a_receiver(seed: int) -> None:
+    """Velocities and fixes that agree with each other must win against the tracks."""
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
+    recording = drive(machine)
+    fails = range(21 * S, 33 * S)
+    broken = [
+        replace(m, left_speed=0.0) if isinstance(m, Sprockets) and m.stamp_ns in fails else m
+        for m in recording.measurements
+    ]
+    p = parameters(**GNSS, velocity_sources=["fix_velocity"])
+    error, nees, _ = errors(with_velocities(recording, broken, 5), recording, p)
+    assert np.sqrt(np.mean(error**2)) < 0.1
+    assert np.mean(nees > 13.8) < 0.05
 
 
 @pytest.mark.parametrize("fix_rate", [1, 2, 5, 10])
