@@ -30,7 +30,7 @@ from trackslip_sim.machine.hydraulics import InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.study.slip.drive import make_drive
 from trackslip_sim.study.slip.evaluate import evaluate
-from trackslip_sim.study.slip.parameters import TRUTHS, cells, load_study_parameters
+from trackslip_sim.study.slip.parameters import cells, load_study_parameters
 from trackslip_sim.truth.simulate import MODES, simulate
 
 _TRUTH_DURATION = 0.1  # s
@@ -73,7 +73,7 @@ def _compile_study() -> None:
     estimator = load_slip_parameters()
     study = load_study_parameters({"duration": 2.0, "settling": 1.0, "seeds": 1})
     drive = make_drive(study, estimator, study.soils[0])
-    for name in TRUTHS:
+    for name in study.truths:
         cell = next(cell for cell in cells(study) if cell.truth == name)
         evaluate(cell, drive, study, estimator)
 
