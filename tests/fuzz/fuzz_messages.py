@@ -39,7 +39,7 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import Refusal
+from trackslip_estimation.slip.sources import Rejection
 from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, MachineState, PoseWithCovariance
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
@@ -220,7 +220,7 @@ def fuzz_slip(count: int, seed: int = 0) -> Findings:
             _look_at(estimate, local, k, faults)
         for name, mutator in mutators.items():
             given = mutator.measured(now_ns + int(rng.integers(2, _PERIOD_NS)))
-            if isinstance(given, Refusal):
+            if isinstance(given, Rejection):
                 counts[f"{name} {given.name}"] += 1
                 continue
             before = _newest(estimator)

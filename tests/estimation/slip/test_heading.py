@@ -27,7 +27,7 @@ from trackslip_estimation.slip.measurements import (
     PoseFix,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.sources import Refusal
+from trackslip_estimation.slip.sources import Rejection
 
 S = 1_000_000_000
 OFFSET, STDDEV = 0.7, 0.004
@@ -195,7 +195,7 @@ def test_messages_of_both_kinds(yaw: float) -> None:
         )
         found = heading_fix(imu, SOURCE, compass)
         if first == -1.0:
-            assert found is Refusal.NO_ORIENTATION
+            assert found is Rejection.NO_ORIENTATION
         else:
             assert (found.heading, found.variance) == (pytest.approx(yaw), expected)
 

@@ -21,7 +21,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome, YawRate
 from trackslip_estimation.slip.mounting import rotate, rotate_variances, rotation
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.sources import Refusal, YawRateSource
+from trackslip_estimation.slip.sources import Rejection, YawRateSource
 
 S = 1_000_000_000
 IMU = "sources.imu_data_raw."
@@ -100,7 +100,7 @@ def test_missing_variances_are_those_of_the_parameters() -> None:
 
 def test_imu_marked_without_gyro_is_refused() -> None:
     message = imu_message((0.0, 0.0, 0.0), (0.0, 0.0, 9.8), of_rates=(-1.0, 0.0, 0.0))
-    assert yaw_rate(message, "imu/data_raw", source()) is Refusal.NO_RATE
+    assert yaw_rate(message, "imu/data_raw", source()) is Rejection.NO_RATE
 
 
 def test_accelerations_marked_absent_are_unknown() -> None:

@@ -29,7 +29,7 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.mounting import quaternion_from_angles
 from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, stated_variances
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.sources import Refusal
+from trackslip_estimation.slip.sources import Rejection
 
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
@@ -245,10 +245,10 @@ def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> No
 
 
 @pytest.mark.parametrize(
-    ("covariance", "refusal"),
-    [("twist", Refusal.NO_VELOCITY), ("pose", Refusal.NO_POSE), ("declared", None)],
+    ("covariance", "rejection"),
+    [("twist", Rejection.NO_VELOCITY), ("pose", Rejection.NO_POSE), ("declared", None)],
 )
-def test_a_covariance_that_is_absent_is_refused_by_name(covariance: str, refusal: Refusal | None) -> None:
+def test_a_covariance_that_is_absent_is_refused_by_name(covariance: str, rejection: Rejection | None) -> None:
     absent = np.zeros(36)
     absent[0] = -1.0
     pose = make("geometry_msgs/msg/Pose", orientation=make("geometry_msgs/msg/Quaternion", w=1.0))
@@ -260,7 +260,7 @@ def test_a_covariance_that_is_absent_is_refused_by_name(covariance: str, refusal
     )
     stated = with_odometry(**{f"sources.{SOURCE}.covariance": covariance}).odometries()[SOURCE]
     found = odometry_pose(message, SOURCE, stated)
-    assert found is refusal if refusal else found.stamp_ns == 5 * S
+    assert found is rejection if rejection else found.stamp_ns == 5 * S
 
 
 def test_too_many_are_refused_in_a_line() -> None:

@@ -131,7 +131,7 @@ def test_time_correlated_orientation_errors_do_not_average_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("covariance", "size", "refusal"),
+    ("covariance", "size", "rejection"),
     [
         (ABSENT, 1.0, AttitudeRejection.NO_ORIENTATION),
         (ZERO, 1.0, AttitudeRejection.NO_COVARIANCE),
@@ -141,7 +141,7 @@ def test_time_correlated_orientation_errors_do_not_average_out() -> None:
     ],
 )
 def test_malformed_orientation_is_refused_by_name(
-    covariance: FloatArray, size: float, refusal: AttitudeRejection
+    covariance: FloatArray, size: float, rejection: AttitudeRejection
 ) -> None:
     """The rest of the message is used as if no orientation were requested, bit for bit."""
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
@@ -149,11 +149,11 @@ def test_malformed_orientation_is_refused_by_name(
     expected, _, plain = run(measurements)
     imus = [report for report in reports if report.source == IMU and not report.outcome.is_rejected]
     assert len(imus) > 100
-    assert {report.attitude for report in imus[1:]} == {refusal}
+    assert {report.attitude for report in imus[1:]} == {rejection}
     assert rejections(plain) == []
     np.testing.assert_array_equal(found.pose, expected.pose)
     np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
-    assert f"is rejected: {refusal.name.lower().replace('_', ' ')}" in own.attitude
+    assert f"is rejected: {rejection.name.lower().replace('_', ' ')}" in own.attitude
 
 
 def test_orientation_that_contradicts_gyro_and_gravity_is_gated() -> None:

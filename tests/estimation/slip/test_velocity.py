@@ -31,7 +31,7 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
-from trackslip_estimation.slip.sources import Refusal
+from trackslip_estimation.slip.sources import Rejection
 from trackslip_tools.replay.arrivals import reader_of
 
 S = 1_000_000_000
@@ -229,7 +229,7 @@ def test_message_becomes_a_velocity_at_the_instant_of_its_measurement() -> None:
     assert found.stamp_ns == 5 * S - S // 10
     np.testing.assert_array_equal(found.velocity, (1.0, -2.0))
     np.testing.assert_allclose(found.covariance, np.diag((stated.stddev**2, 0.09)))
-    assert velocity_fix(message((0.0, 0.0), (-1.0, 0.0)), SOURCE, stated) is Refusal.NO_VELOCITY
+    assert velocity_fix(message((0.0, 0.0), (-1.0, 0.0)), SOURCE, stated) is Rejection.NO_VELOCITY
 
 
 def test_table_of_a_bag_has_the_bits_of_live_conversions() -> None:

@@ -87,15 +87,15 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
     """
     imu = a.sample
     if imu.lost == 1 and a.seen == 0:
-        a.refusal = SWING_UNKNOWN if imu.oriented == 1 else 0
-        return int(a.refusal)
+        a.rejection = SWING_UNKNOWN if imu.oriented == 1 else 0
+        return int(a.rejection)
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
     if a.known == 1 and dt > 0.0:
         _propagate_tilt(a, _unbiased_rates(a), dt, n)
         if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
             a.known = 0
-    a.refusal = update_with_orientation(a, n) if imu.oriented == 1 else 0
+    a.rejection = update_with_orientation(a, n) if imu.oriented == 1 else 0
     if _filter_force(a, dt, n) and is_gravity(a):
         if a.known == 0:
             initialise_from_gravity(a, n)
@@ -109,7 +109,7 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
     a.rates[0], a.rates[1], a.rates[2] = _unbiased_rates(a)
     a.stamp_ns, a.seen = imu.stamp_ns, 1
     set_level(a)
-    return int(a.refusal)
+    return int(a.rejection)
 
 
 @compiled

@@ -109,7 +109,7 @@ class Attitude(Record):
     noise: Annotated[FloatArray, 2]  # variance of both horizontal axes beyond the model, (m/s²)²
     noise_count: Annotated[FloatArray, 2]  # effective number of samples in ``noise``
     oriented_ns: int  # stamp of the last orientation that was used
-    refusal: int  # ``AttitudeRejection`` of the last orientation; 0: used, or not requested
+    rejection: int  # ``AttitudeRejection`` of the last orientation; 0: used, or not requested
     climb: Climb
     level: Level
 

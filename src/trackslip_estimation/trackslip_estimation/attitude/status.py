@@ -65,8 +65,8 @@ def _unknown_reason(a: Attitude, source: str) -> str:
 
 def _rejection_text(a: Attitude, source: str) -> str:
     """Why the last orientation was rejected; empty if it was not."""
-    refusal = int(a["refusal"])
-    words = AttitudeRejection(refusal).name.lower().replace("_", " ") if refusal else ""
+    rejection = int(a["rejection"])
+    words = AttitudeRejection(rejection).name.lower().replace("_", " ") if rejection else ""
     return f"; the orientation of {source} is rejected: {words}" if words else ""
 
 

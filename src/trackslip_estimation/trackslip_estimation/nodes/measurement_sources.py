@@ -24,7 +24,7 @@ from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
     HeadingSource,
     OdometrySource,
-    Refusal,
+    Rejection,
     VelocitySource,
     YawRateSource,
     group_name,
@@ -126,7 +126,7 @@ class MeasurementSources:
             if self._frames.get(source) in (None, read(FrameFields, message).frame):
                 callback(message)
             else:
-                self._node.tally.add(source, Refusal.OTHER_FRAME)
+                self._node.tally.add(source, Rejection.OTHER_FRAME)
 
         subscribe = self._node.subscribe_packed if packed else self._node.subscribe
         subscribe(kind, source, process_in_frame)
@@ -141,7 +141,7 @@ class MeasurementSources:
             self._node.settings = self._node.settings.changed(found)
             self._node.publish_parameters()
         self._process_converted(
-            source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
+            source, Rejection.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
         )
 
     def _on_pose(self, message: Any, source: str) -> None:
@@ -167,8 +167,8 @@ class MeasurementSources:
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))
 
-    def _process_converted(self, source: str, given: Measurement | Refusal) -> None:
-        if isinstance(given, Refusal):
+    def _process_converted(self, source: str, given: Measurement | Rejection) -> None:
+        if isinstance(given, Rejection):
             self._node.tally.add(source, given)
         else:
             self._process(given)

@@ -49,7 +49,7 @@ from trackslip_estimation.slip.sources import (
     ODOMETRY_FIELDS,
     HeadingSource,
     OdometrySource,
-    Refusal,
+    Rejection,
     VelocitySource,
     YawRateSource,
 )
@@ -79,14 +79,14 @@ def sprockets(message: Any, source: str) -> Sprockets:
     return Sprockets(source, m.stamp_ns, m.left_speed, m.right_speed, positions)
 
 
-def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Refusal:
+def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Rejection:
     """From sensor_msgs/Imu, rotated by the mounting of ``imu``.
 
     A variance of zero means unknown, a first element of −1 absent (REP-145).
     """
     m = read(ImuFields, message)
     if m.variance_x == ABSENT:
-        return Refusal.NO_RATE
+        return Rejection.NO_RATE
     R, unknown = imu.mounting, imu.stddev**2
     stated = (m.variance_x, m.variance_y, m.variance_z)
     p, q, r = rotate(R, (m.rate_x, m.rate_y, m.rate_z))
@@ -119,7 +119,7 @@ def slip_fix(message: Any, source: str) -> SlipFix:
     return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
 
 
-def heading_fix(message: Any, source: str, compass: HeadingSource) -> HeadingFix | Refusal:
+def heading_fix(message: Any, source: str, compass: HeadingSource) -> HeadingFix | Rejection:
     """From sensor_msgs/Imu, or geometry_msgs/QuaternionStamped, which has no variance.
 
     A variance of zero means unknown, a first element of −1 absent (REP-145).
@@ -129,7 +129,7 @@ def heading_fix(message: Any, source: str, compass: HeadingSource) -> HeadingFix
         return HeadingFix(source, q.stamp_ns, compass.from_east(heading_of(q)), compass.stddev**2)
     m = read(OrientationFields, message)
     if m.absent == ABSENT:
-        return Refusal.NO_ORIENTATION
+        return Rejection.NO_ORIENTATION
     variance = m.variance_z if m.variance_z != 0.0 else compass.stddev**2
     return HeadingFix(source, m.stamp_ns, compass.from_east(heading_of(m)), variance)
 
@@ -140,14 +140,14 @@ def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
     return SwingAngle(source, m.stamp_ns, m.angle, variance)
 
 
-def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityFix | Refusal:
+def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityFix | Rejection:
     """From geometry_msgs/TwistWithCovarianceStamped, at the instant of its velocity.
 
     A variance of zero means unknown, a first element of −1 absent.
     """
     m = read(VelocityFields, message)
     if m.absent == ABSENT:
-        return Refusal.NO_VELOCITY
+        return Rejection.NO_VELOCITY
     covariance = m.covariance.copy()
     for i in range(2):
         if covariance[i, i] == 0.0:
@@ -155,14 +155,14 @@ def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityF
     return VelocityFix(source, m.stamp_ns - stated.latency_ns, np.array((m.v_x, m.v_y)), covariance)
 
 
-def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Refusal:
+def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Rejection:
     """From nav_msgs/Odometry of a laser or camera: its pose, and the variances that its parameters name.
 
     A variance of zero means unknown, a first element of −1 absent.
     """
-    m, (name, absent, refusal) = read(OdometryPoseFields, message), ODOMETRY_FIELDS[odometry_.covariance]
+    m, (name, absent, rejection) = read(OdometryPoseFields, message), ODOMETRY_FIELDS[odometry_.covariance]
     if absent and getattr(m, absent) == ABSENT:
-        return refusal
+        return rejection
     frame = frame_number(read(FrameFields, message).frame)
     variances = getattr(m, name) if name else np.zeros((2, 3))
     place, turn = np.array((m.x, m.y, m.z)), np.array((m.qx, m.qy, m.qz, m.qw))

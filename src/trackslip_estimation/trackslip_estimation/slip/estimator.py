@@ -266,8 +266,8 @@ class SlipEstimator:
 def make_step(result: ResultFields, source: str) -> Step:
     """Report and estimate of a record of ``RESULT``, given as a tuple, which is faster to read."""
     stamp_ns, outcome, dof, nis, gate, attitude, fault, published, estimate = result
-    refusal, lack = AttitudeRejection(attitude) if attitude else None, Fault(fault) if fault else None
-    report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, refusal, lack)
+    rejection, lack = AttitudeRejection(attitude) if attitude else None, Fault(fault) if fault else None
+    report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, rejection, lack)
     return report, make_estimate(estimate) if published else None
 
 

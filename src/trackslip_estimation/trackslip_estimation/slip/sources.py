@@ -162,7 +162,7 @@ class SlipSource(Source):
     """Slips of another estimator; its gate widens with each further timeout."""
 
 
-class Refusal(Enum):
+class Rejection(Enum):
     """Why a message of a source never becomes a measurement."""
 
     OTHER_FRAME = "of another frame"
@@ -259,10 +259,10 @@ class VelocitySource(SourceWithLever):
 
 
 COVARIANCES = ("twist", "pose", "declared")  # in the order of ``increments``
-ODOMETRY_FIELDS = {  # by covariance: field that is read, field that marks its absence, refusal then
-    "twist": ("twist_variances", "twist_absent", Refusal.NO_VELOCITY),
-    "pose": ("pose_variances", "pose_absent", Refusal.NO_POSE),
-    "declared": ("", "", Refusal.NO_POSE),
+ODOMETRY_FIELDS = {  # by covariance: field that is read, field that marks its absence, rejection then
+    "twist": ("twist_variances", "twist_absent", Rejection.NO_VELOCITY),
+    "pose": ("pose_variances", "pose_absent", Rejection.NO_POSE),
+    "declared": ("", "", Rejection.NO_POSE),
 }
 LEAN_TIME = 100.0  # s, correlation time of the tilt error, mostly accelerometer bias
 DRIFT_TIME = 60.0  # s, correlation time of the drift of odometry

@@ -52,7 +52,7 @@ from trackslip_estimation.slip.sources import (
     ODOMETRY_FIELDS,
     HeadingSource,
     OdometrySource,
-    Refusal,
+    Rejection,
     SwingSource,
     VelocitySource,
     YawRateSource,
@@ -80,7 +80,7 @@ class SourceReader(NamedTuple):
     kind: int
     fields: RecordClass  # record class of the messages
     stated: SourceParameters | None = None  # parameters of the source
-    absent: tuple[str, Refusal] | None = None  # field whose ABSENT rejects a message, and the reason
+    absent: tuple[str, Rejection] | None = None  # field whose ABSENT rejects a message, and the reason
 
     def rows(self, read: Rows) -> Rows:
         """(n,) ARRIVAL, without source and log time, of (n,) records of ``fields``."""
@@ -99,18 +99,18 @@ def reader_of(stated: SourceParameters, type_name: str = "") -> SourceReader:
     """Reader of a source with these parameters; ``type_name``: message type of a heading source."""
     match stated:
         case YawRateSource():
-            return SourceReader(YAW_RATE, ImuFields, stated, ("variance_x", Refusal.NO_RATE))
+            return SourceReader(YAW_RATE, ImuFields, stated, ("variance_x", Rejection.NO_RATE))
         case HeadingSource() if type_name == HEADING_MESSAGES["imu"]:
-            return SourceReader(HEADING, OrientationFields, stated, ("absent", Refusal.NO_ORIENTATION))
+            return SourceReader(HEADING, OrientationFields, stated, ("absent", Rejection.NO_ORIENTATION))
         case HeadingSource():
             return SourceReader(HEADING, QuaternionFields, stated)
         case SwingSource():
             return SourceReader(ON_SWING, SwingFields, stated)
         case OdometrySource():  # caller fills in the numbers of frames
-            _, field, refusal = ODOMETRY_FIELDS[stated.covariance]
-            return SourceReader(ODOMETRY, OdometryPoseFields, stated, (field, refusal) if field else None)
+            _, field, rejection = ODOMETRY_FIELDS[stated.covariance]
+            return SourceReader(ODOMETRY, OdometryPoseFields, stated, (field, rejection) if field else None)
         case _:
-            return SourceReader(VELOCITY, VelocityFields, stated, ("absent", Refusal.NO_VELOCITY))
+            return SourceReader(VELOCITY, VelocityFields, stated, ("absent", Rejection.NO_VELOCITY))
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:

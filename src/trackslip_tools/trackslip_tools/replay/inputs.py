@@ -46,7 +46,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ODOMETRY as ODOMETRY_KIND
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, Rejection
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
     IS_RELOAD,
@@ -207,7 +207,7 @@ class InputStream:
             return np.ones(len(table), np.bool_)
         numbers = table.rows(FrameFields)["frame"]
         usable = np.array([text == requested for text in table.texts])[numbers]
-        self.rejected.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
+        self.rejected.add(name, Rejection.OTHER_FRAME, int((~usable).sum()))
         return np.asarray(usable)
 
     def _has_measurement(self, name: str, reader: SourceReader, read: Rows, usable: BoolArray) -> BoolArray:

@@ -135,8 +135,8 @@ class Collector:
             self.processed.input_counts[part.sources[source]] += count
         for name, outcome, n in _count_rejections(part, "outcome"):
             self._rejected.add(name, Outcome(outcome), n)
-        for name, refusal, n in _count_rejections(part, "attitude"):
-            self._rejected.add(name, AttitudeRejection(refusal), n)
+        for name, rejection, n in _count_rejections(part, "attitude"):
+            self._rejected.add(name, AttitudeRejection(rejection), n)
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
         for topic, rows in tables.items():
             self._series.add(topic, rows)
