@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-_SIDEWAYS = 0.1  # lateral share of v̂
+SIDEWAYS = 0.1  # lateral share of v̂
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def add_unknown_motion_noise(state: State, dt: float, c: Config) -> None:
     """Add process noise of ``dt`` s of unknown motion that no state models."""
     P, share = state.covariance, 1.0
     if has_velocity_errors(c):  # which model speed along the heading
-        share = min(_SIDEWAYS**2 + P[YAW, YAW], 1.0)
+        share = min(SIDEWAYS**2 + P[YAW, YAW], 1.0)
     P[X, X] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
     P[Y, Y] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
     P[YAW, YAW] += 2.0 * SPEED_TIME * dt * c.unseen_yaw_rate**2

@@ -75,6 +75,12 @@ def is_failed(fault: int) -> bool:
 
 
 @compiled
+def has_no_fault(state: State) -> bool:
+    """Whether a branch assumes no fault of any source or unit."""
+    return bool((state.fault == IS_HEALTHY).all())
+
+
+@compiled
 def has_failed_unit(state: State) -> bool:
     """Whether a branch assumes that sprockets, gyros or an odometry have failed."""
     return bool(((state.fault == IS_FAILED) | (state.fault == IS_MISCOUNTING)).any())

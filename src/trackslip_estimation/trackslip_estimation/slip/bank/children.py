@@ -61,6 +61,7 @@ from trackslip_estimation.slip.source_faults import (
     IS_WANDERING,
     can_be_repetition,
     has_failed_unit,
+    has_no_fault,
     has_wandering_offset,
     is_failed,
     is_heading_off,
@@ -111,8 +112,10 @@ def create_children(window: Window, k: int, c: Config) -> int:
 
 @compiled
 def _is_parent(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether branch s was probable enough before measurement k to get children, and needs them."""
-    return bool(window.branches[s, k - 1].weight >= -c.bank.spawns and _needs_children(window, s, k, c))
+    """Whether branch s gets children: it was probable before measurement k, or has no fault at a fix."""
+    is_probable = window.branches[s, k - 1].weight >= -c.bank.spawns
+    is_healthy = window.measurements[k].kind == POSE and has_no_fault(window.states[s, k - 1])
+    return bool((is_probable or is_healthy) and _needs_children(window, s, k, c))
 
 
 @compiled

@@ -14,7 +14,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
-from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, is_heading_off
+from trackslip_estimation.slip.source_faults import IS_OFFSET, has_no_fault, is_heading_off
 from trackslip_estimation.slip.window import MOST_BRANCHES, Window
 
 if TYPE_CHECKING:
@@ -90,11 +90,9 @@ def _most_probable_healthy_branch(window: Window, count: int) -> int:
     """Number of the most probable branch of the pool in which no source is at fault; −1: none."""
     heaviest = -1
     for h in range(count):
-        weight, faults = window.pool_branches[h].weight, 0
-        for k in range(MOST_SOURCES):
-            faults += 1 if window.pool_states[h].fault[k] != IS_HEALTHY else 0
+        weight = window.pool_branches[h].weight
         heavier = heaviest < 0 or weight > window.pool_branches[heaviest].weight
-        if faults == 0 and weight > -math.inf and heavier:
+        if weight > -math.inf and heavier and has_no_fault(window.pool_states[h]):
             heaviest = h
     return heaviest
 
