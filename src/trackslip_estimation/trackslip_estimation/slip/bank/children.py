@@ -61,7 +61,6 @@ from trackslip_estimation.slip.source_faults import (
     IS_WANDERING,
     can_be_repetition,
     has_failed_unit,
-    has_no_fault,
     has_wandering_offset,
     is_failed,
     is_heading_off,
@@ -112,19 +111,8 @@ def create_children(window: Window, k: int, c: Config) -> int:
 
 @compiled
 def _is_parent(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether branch s gets children: it was probable, or at a fix the best one without a fault."""
-    is_probable = window.branches[s, k - 1].weight >= -c.bank.spawns
-    is_best_healthy = window.measurements[k].kind == POSE and _is_best_healthy(window, s, k)
-    return bool((is_probable or is_best_healthy) and _needs_children(window, s, k, c))
-
-
-@compiled
-def _is_best_healthy(window: Window, s: int, k: int) -> bool:
-    """Whether branch s was the most probable one without a fault before measurement k."""
-    for other in range(s):
-        if has_no_fault(window.states[other, k - 1]):
-            return False
-    return bool(has_no_fault(window.states[s, k - 1]))
+    """Whether branch s was probable enough before measurement k to get children, and needs them."""
+    return bool(window.branches[s, k - 1].weight >= -c.bank.spawns and _needs_children(window, s, k, c))
 
 
 @compiled
