@@ -18,7 +18,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "src" / "trackslip_common"))  # packages are not installed yet
 
-from trackslip_common.whole_file import atomic_replacement  # noqa: E402 (found there)
+from trackslip_common.atomic_files import atomic_replacement  # noqa: E402 (found there)
 
 LOG = ROOT / "ros2_ws" / "setup.log"
 _POLL = 0.05  # s

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_atomically
 from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.results import Row

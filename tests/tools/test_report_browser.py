@@ -17,7 +17,7 @@ from trackslip_tools.report.lights import Level
 from trackslip_tools.report.page import render
 from trackslip_tools.report.recording import Recording
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.spells import StateInterval
+from trackslip_tools.report.state_intervals import StateInterval
 from trackslip_tools.report.verdict import load_limits
 
 DRAWN = "document.documentElement.dataset.drawn === 'all' && Bokeh.documents[0].is_idle"

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pymap3d
 
+from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_atomically
 
 if TYPE_CHECKING:
     from trackslip._estimates import Estimates

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from mcap.stream_reader import StreamReader
 
 from trackslip_bags.metadata import METADATA
-from trackslip_common.whole_file import UNFINISHED_NAME
+from trackslip_common.atomic_files import UNFINISHED_NAME
 
 LIBRARY = "trackslip record"  # name of the writer in each file of a recording
 _IDLE_TIME = 60.0  # s since the last write, after which no running recorder uses a file

@@ -24,8 +24,8 @@ from mcap.writer import CompressionType, Writer
 
 from trackslip_bags.definitions import installed_schema, ros_distro
 from trackslip_bags.metadata import METADATA, Extent, Schema, Topic, metadata_text
+from trackslip_common.atomic_files import replace_atomically
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import replace_atomically
 
 CHUNK_SPAN_NS = 500_000_000
 

@@ -31,7 +31,7 @@ from trackslip_estimation.soil.shear_field import (
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.truth.burden import MassProperties
+from trackslip_sim.truth.mass_properties import MassProperties
 from trackslip_sim.truth.settings import load_settings
 
 P = load_soil_parameters()

@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 
-from trackslip_bags.nodes.taps import RawSubscriptions
+from trackslip_bags.nodes.subscriptions import RawSubscriptions
 from trackslip_bags.recording import Recording, RecordParameters
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import TrackslipNode

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
+from trackslip_common.atomic_files import atomic_replacement
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, parameter_path
-from trackslip_common.whole_file import atomic_replacement
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS

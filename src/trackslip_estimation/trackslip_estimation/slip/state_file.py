@@ -17,9 +17,9 @@ from typing import Any
 
 import yaml
 
+from trackslip_common.atomic_files import atomic_replacement
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, parameter_path
-from trackslip_common.whole_file import atomic_replacement
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import (
     Learned,

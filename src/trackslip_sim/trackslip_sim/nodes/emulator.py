@@ -20,8 +20,8 @@ from trackslip_common.nodes.run import run
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
 from trackslip_drivers.conversions import blank_swing, fill_swing
-from trackslip_sim.machine.cables import EmulatorPorts
 from trackslip_sim.machine.emulation import DRAIN_NS, SOIL_NS, SWING_NS, TICK_NS, TRUTH_NS
+from trackslip_sim.machine.emulator_ports import EmulatorPorts
 from trackslip_sim.machine.excavator import EmulatedExcavator, simulate_drive
 from trackslip_sim.machine.faults import Fault, parse_fault
 from trackslip_sim.machine.message_columns import set_fields, stamp_columns

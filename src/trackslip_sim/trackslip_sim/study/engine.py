@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
+from trackslip_common.atomic_files import write_atomically
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.whole_file import write_atomically
 from trackslip_sim.study.cache import Cache, key_of
 from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.workers import Map

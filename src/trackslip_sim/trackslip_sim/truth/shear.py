@@ -18,7 +18,6 @@ from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
-from trackslip_sim.truth.burden import unloaded_centre
 from trackslip_sim.truth.contact import (
     Shear,
     Tracks,
@@ -32,6 +31,7 @@ from trackslip_sim.truth.contact import (
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
 from trackslip_sim.truth.lag import Valves, spool_positions, valves_of
 from trackslip_sim.truth.load import Load, distribute_load, set_normal_force
+from trackslip_sim.truth.mass_properties import unloaded_centre
 from trackslip_sim.truth.motion import (
     MAX_ITERATIONS,
     SIZE,

@@ -16,8 +16,8 @@ from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UpperStructure, Vehicle
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth.burden import MassProperties
 from trackslip_sim.truth.ground import Ground, build_ground
+from trackslip_sim.truth.mass_properties import MassProperties
 from trackslip_sim.truth.record import Truth, join_pieces
 from trackslip_sim.truth.rows import Recorder
 from trackslip_sim.truth.settings import TruthSettings, load_settings

@@ -11,7 +11,7 @@ from trackslip_common.config_files import node_defaults
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.sources import group_name
-from trackslip_tools.calibration import gyro, standing, third, timing, tracks
+from trackslip_tools.calibration import gyro, setup_results, standstill, timing, tracks
 from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding, round_value
 from trackslip_tools.calibration.recording import Recording
 
@@ -48,12 +48,12 @@ def calibrate(
     """
     headings = gyro.scale_and_delay(recordings)
     findings = {
-        "gyro_bias": standing.gyro_bias(recordings),
+        "gyro_bias": standstill.gyro_bias(recordings),
         "gyro_sign": _gyro_sign(headings["gyro_scale"], timing.gyro_sense(recordings)),
         **headings,
         **gyro.mounting_angles(recordings),
         "gyro_delay": timing.gyro_delay(recordings),
-        **standing.pressure_offsets(recordings),
+        **standstill.pressure_offsets(recordings),
     }
     unit = _gyro_of(findings)
     findings["effective_rolling_radius"] = tracks.distance_per_radian(recordings, unit)
@@ -70,7 +70,10 @@ def calibrate(
     findings["tread"] = empty_finding(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
-    findings = {**third.remove_contradicted(findings, setups), **third.combine_measured(setups)}
+    findings = {
+        **setup_results.remove_contradicted(findings, setups),
+        **setup_results.combine_measured(setups),
+    }
     spread = turns.stddev * p.vehicle.kinematics.tread / radius
     confirmed = () if everything else _confirmed_names(findings, p, sources[0])
     new_findings = {name: _NO_FINDING if name in confirmed else finding for name, finding in findings.items()}

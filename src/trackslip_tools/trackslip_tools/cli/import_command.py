@@ -13,10 +13,10 @@ from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import refuse_existing
+from trackslip_common.atomic_files import write_atomically
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
 from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_common.whole_file import write_atomically
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.description import describe

@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_atomically
 
 # First characters of the files.
 PAGE_PREFIX = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"

@@ -38,7 +38,7 @@ from trackslip_tools.replay.parts import EstimatorStart, Part
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
-from trackslip_tools.replay.troubles import stuck_track_lines
+from trackslip_tools.replay.stuck_tracks import stuck_track_lines
 from trackslip_tools.terminal_text import wrap_line
 
 _MOST_EVENTS = 12  # listed in the text

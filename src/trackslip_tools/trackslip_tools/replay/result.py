@@ -43,8 +43,8 @@ from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, path_of, path_of_series
 from trackslip_tools.replay.series import Series, SeriesCollector, reduce_columns, sort_by_stamp
 from trackslip_tools.replay.soil import SoilReplay
+from trackslip_tools.replay.stuck_tracks import FixGaps
 from trackslip_tools.replay.tilt import SwingErrors, TiltErrors
-from trackslip_tools.replay.troubles import FixGaps
 from trackslip_tools.replay.withheld import WithheldErrors, WithholdResult
 
 KEPT_ESTIMATE = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)

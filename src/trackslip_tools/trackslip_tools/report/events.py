@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from trackslip_common.errors import printable
 from trackslip_tools.report.lights import SILENT_S, Level, Light, Lights, statuses_of
-from trackslip_tools.report.spells import StateInterval
+from trackslip_tools.report.state_intervals import StateInterval
 
 MAX_EVENTS = 200  # kept events
 _MOST_VALUES = 500  # values read per status, and entries of each memory

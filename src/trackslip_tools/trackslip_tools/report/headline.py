@@ -10,12 +10,12 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.replay.troubles import SIDES
+from trackslip_tools.replay.stuck_tracks import SIDES
 from trackslip_tools.report.events import CERTAIN, Event
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import stuck_track_intervals, stuck_tracks_text
+from trackslip_tools.report.timeline import stuck_track_intervals, stuck_tracks_text
 from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 
 _GAP_S = 1.0  # longer intervals between estimates count for neither distance nor time

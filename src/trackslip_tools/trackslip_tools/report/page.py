@@ -24,7 +24,6 @@ from trackslip_tools.report.panel import DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
 from trackslip_tools.report.plots import strip_plot, time_plot, time_range
 from trackslip_tools.report.run import Run, align_runs, first_runs_of_bags
-from trackslip_tools.report.story import events_of, message_strips, strips
 from trackslip_tools.report.tables import (
     differing_rows,
     event_rows,
@@ -33,6 +32,7 @@ from trackslip_tools.report.tables import (
     run_facts,
     topic_rows,
 )
+from trackslip_tools.report.timeline import events_of, message_strips, strips
 from trackslip_tools.report.verdict import VerdictLimits, verdicts
 
 _SAMPLES = 4000  # per curve, in a report of up to two runs; more runs share the same total

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import printable
 from trackslip_tools.report.panel import GRID, INK, PAPER, Curve, Form, Panel
-from trackslip_tools.report.spells import StateInterval, Strip, Style
+from trackslip_tools.report.state_intervals import StateInterval, Strip, Style
 
 if TYPE_CHECKING:
     from trackslip_tools.report.recording import Recording

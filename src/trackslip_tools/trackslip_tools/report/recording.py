@@ -19,7 +19,7 @@ from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
-from trackslip_tools.report.spells import StateInterval
+from trackslip_tools.report.state_intervals import StateInterval
 
 SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}

@@ -15,7 +15,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import silence_limits, stuck_track_intervals, stuck_tracks_text
+from trackslip_tools.report.timeline import silence_limits, stuck_track_intervals, stuck_tracks_text
 
 SECTION = "report"
 DEFAULT_FILES = ("report.yaml",)

@@ -27,7 +27,7 @@ from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.output import message_of
 from trackslip_tools.replay.run import default_reference
 from trackslip_tools.replay.series import Series
-from trackslip_tools.replay.settled import read_sorted_inputs
+from trackslip_tools.replay.sorted_inputs import read_sorted_inputs
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
 from trackslip_tools.terminal_text import wrap_line
 

@@ -32,7 +32,7 @@ from trackslip_estimation.slip.window import Records
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.run import default_reference
 from trackslip_tools.replay.scoring import nees_of_each, path_of_series, score
-from trackslip_tools.replay.settled import read_sorted_inputs
+from trackslip_tools.replay.sorted_inputs import read_sorted_inputs
 from trackslip_tools.tuning.plan import change_parameters
 
 _OUTLIER_SHARE = 1e-3  # ε

@@ -28,8 +28,8 @@ from trackslip_tools.report.motion_panels import motion_panels
 from trackslip_tools.report.plots import plot_text
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run, align_runs
-from trackslip_tools.report.spells import StateInterval, state_intervals, total_duration
-from trackslip_tools.report.story import events_of, message_strips, silence_limits, strips
+from trackslip_tools.report.state_intervals import StateInterval, state_intervals, total_duration
+from trackslip_tools.report.timeline import events_of, message_strips, silence_limits, strips
 from trackslip_tools.report.verdict import State, load_limits, verdicts
 
 SECOND_NS = 1_000_000_000

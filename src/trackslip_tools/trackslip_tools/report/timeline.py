@@ -14,15 +14,15 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.silence import silence_limit, usual_period
 from trackslip_estimation.soil.stall import TrackCondition
-from trackslip_tools.replay import troubles
+from trackslip_tools.replay import stuck_tracks
 from trackslip_tools.replay.inputs import SPROCKETS
-from trackslip_tools.replay.troubles import TROUBLE_TEXTS
+from trackslip_tools.replay.stuck_tracks import TROUBLE_TEXTS
 from trackslip_tools.report.events import Event, Events, mask_numbers
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY, plot_title
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run, first_runs_of_bags
-from trackslip_tools.report.spells import (
+from trackslip_tools.report.state_intervals import (
     Bar,
     StateInterval,
     Strip,
@@ -75,7 +75,7 @@ def stuck_track_intervals(run: Run) -> dict[str, list[StateInterval]]:
     soil = run.replay.soil
     if soil is None:
         return {}
-    return troubles.stuck_track_intervals(run.recording.seconds(soil.forces["stamp_ns"]), soil.forces)
+    return stuck_tracks.stuck_track_intervals(run.recording.seconds(soil.forces["stamp_ns"]), soil.forces)
 
 
 def loss_intervals(run: Run) -> dict[str, list[StateInterval]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from trackslip_common.whole_file import (
+from trackslip_common.atomic_files import (
     UNFINISHED_NAME,
     atomic_replacement,
     replace_atomically,
@@ -97,7 +97,7 @@ def test_permissions_are_those_of_any_new_file(page: Path) -> None:
 
 
 MOVES = {
-    "trackslip_common/whole_file.py",  # into place
+    "trackslip_common/atomic_files.py",  # into place
     "trackslip_common/kept_files.py",  # aside
     "trackslip_estimation/slip/state_file.py",  # aside, to the machine's name
 }

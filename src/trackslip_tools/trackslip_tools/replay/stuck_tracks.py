@@ -8,7 +8,7 @@ from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import POSE
 from trackslip_estimation.soil.stall import TrackCondition
-from trackslip_tools.report.spells import StateInterval, state_intervals
+from trackslip_tools.report.state_intervals import StateInterval, state_intervals
 
 SIDES = ("left", "right")
 TROUBLE_TEXTS = {TrackCondition.STALLED: "stalled", TrackCondition.STUCK: "getting stuck"}
