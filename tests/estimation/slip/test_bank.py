@@ -408,23 +408,19 @@ def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
     assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
 
 
-@pytest.mark.parametrize("shown", [(0.0, 0.0), (0.0, 1.0), (1.0, -1.0)])
+@pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("rate", [5, 10])
-def test_failing_encoders_are_found_beside_velocities_of_a_receiver(
-    rate: int, shown: tuple[float, float]
-) -> None:
+def test_encoder_that_counts_backward_is_found_beside_velocities_of_a_receiver(rate: int, seed: int) -> None:
     """Velocities and fixes that agree with each other must win against the tracks."""
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1)
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
     recording, fails = drive(machine), range(21 * S, 33 * S)
     broken = [
-        replace(m, left_speed=shown[0] * m.left_speed, right_speed=shown[1] * m.right_speed)
-        if isinstance(m, Sprockets) and m.stamp_ns in fails
-        else m
+        replace(m, right_speed=-m.right_speed) if isinstance(m, Sprockets) and m.stamp_ns in fails else m
         for m in recording.measurements
     ]
     p = parameters(**GNSS, velocity_sources=["fix_velocity"])
     error, nees, _ = errors(with_velocities(recording, broken, rate), recording, p)
-    assert np.sqrt(np.mean(error**2)) < 0.1
+    assert np.sqrt(np.mean(error**2)) < 0.3
     assert np.mean(nees > 13.8) < 0.05
 
 

@@ -238,8 +238,6 @@ def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]
         rates = event_rates(p.events, *by_number.get(k, (1.0, 1.0)), p.bank.repeat_jitter)
         for event, rate in rates.items():
             c["log_rates"][event, k] = math.log(rate)
-    for name in p.velocities():  # Doppler shifts rather scatter
-        c["log_rates"][Event.OFFSET, numbers[name]] += math.log(p.events.velocity_share)
 
 
 def _set_odometry(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
