@@ -104,7 +104,9 @@ def create_children(window: Window, k: int, c: Config) -> int:
     for p in parents:
         _make_children(window, p, k, c)
     for p in parents:  # last, as they take the most time
-        _make_sector_children(window, p, k, c)
+        if _can_have_earlier_event(window, p, k, c):
+            implausible = _is_slip_implausible(window, p, k, c)
+            make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
         window.pool_branches[p].cusum[:] = 0.0
     return int(status.pooled)
 
@@ -233,20 +235,12 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
         _make_fix_children(window, p, k, contradicts, c)
     elif contradicts:
         _make_angle_children(window, p, k, c)
-    if _can_be_earlier(window, p, k, c):
-        make_earlier_children(window, p, k, contradicts, _is_slip_implausible(window, p, k, c), c)
+    if _can_have_earlier_event(window, p, k, c):
+        make_earlier_children(window, p, k, _is_slip_implausible(window, p, k, c), c)
 
 
 @compiled
-def _make_sector_children(window: Window, p: int, k: int, c: Config) -> None:
-    """Add the children of branch p with the heading or the swing angle in another sector of the circle."""
-    if _can_be_earlier(window, p, k, c):
-        implausible = _is_slip_implausible(window, p, k, c)
-        make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
-
-
-@compiled
-def _can_be_earlier(window: Window, p: int, k: int, c: Config) -> bool:
+def _can_have_earlier_event(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether an event since the snapshot of branch p may explain measurement k."""
     m = window.measurements[k]
     fault = window.states[p, k - 1].fault[m.source]

@@ -55,10 +55,8 @@ _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
 @compiled
-def make_earlier_children(
-    window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
-) -> None:
-    """Add children of p at a fix or a velocity that ``contradicts`` it, or as its slip is ``implausible``."""
+def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: Config) -> None:
+    """Add children of p with an event since the snapshot; ``implausible``: its slip is outside its range."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, drove = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
     penalty = correlated_penalty(window, p, k, c)
@@ -84,7 +82,10 @@ def make_earlier_children(
 def make_sector_children(
     window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
 ) -> None:
-    """Add children of p with the heading or the swing angle in each sector; arguments as above."""
+    """Add children of p with the heading or the swing angle in each sector of the circle.
+
+    ``contradicts``: measurement k contradicts p; ``implausible`` as above.
+    """
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, drove = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
     if not implausible and _is_probably_outlier(window, p, k, c):
