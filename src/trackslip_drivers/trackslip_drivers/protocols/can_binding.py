@@ -74,17 +74,17 @@ class Binder:
     """Finds the signals of the roles in a DBC.
 
     Args:
-        contract: the DBC.
+        dbc: the parsed DBC.
         vehicle: converts flows and ground speeds to sprocket speeds.
-        dbc, roles: paths of the files, for error messages.
+        dbc_path, roles_path: of the files, for error messages.
     """
 
-    def __init__(self, contract: Dbc, vehicle: VehicleParameters, dbc: Path, roles: Path) -> None:
-        self._database = contract.database
-        self._left_out = contract.left_out
+    def __init__(self, dbc: Dbc, vehicle: VehicleParameters, dbc_path: Path, roles_path: Path) -> None:
+        self._database = dbc.database
+        self._left_out = dbc.left_out
         self._vehicle = vehicle
-        self._dbc = dbc
-        self._roles = roles
+        self._dbc_path = dbc_path
+        self._roles_path = roles_path
 
     def bind(self, roles: Mapping[str, Role]) -> Bindings:
         """The bindings of all roles.
@@ -117,38 +117,38 @@ class Binder:
                 continue
             roles = f"role '{name}'" if user == name else f"roles '{user}' and '{name}'"
             signal = f"signal '{signal_id.frame}.{signal_id.signal}' is used twice"
-            raise InputError(f"roles_file {self._roles}: {roles}: {signal}; accepted: a signal for each")
+            raise InputError(f"roles_file {self._roles_path}: {roles}: {signal}; accepted: a signal for each")
 
-    def _bind_scaled(self, name: str, role: Role, reference: str, share: float) -> ScaledSignal:
+    def _bind_scaled(self, name: str, role: Role, reference: str, weight: float) -> ScaledSignal:
         where, message, signal = self._find_signal(name, reference)
         unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
         if unit.quantity is Quantity.PRESSURE and name in SPOOLS:
-            return self._scale_spool(where, self._signal_id(where, message, signal, role), role, share, unit)
+            return self._scale_spool(where, self._signal_id(where, message, signal, role), role, weight, unit)
         if role.zero or role.full:
             raise InputError(
                 f"{where}: zero and full are for pilot pressures; accepted: none, as it is a ratio"
             )
-        factor = unit.factor * role.sign * share
+        factor = unit.factor * role.sign * weight
         if unit.quantity is Quantity.FLOW:
             v = self._vehicle.hydraulics
             if v is None:
-                lacking = f"vehicle '{self._vehicle.name}' has no hydraulics"
-                raise InputError(f"{where}: flow: {lacking}; accepted: one with them")
+                fault = f"vehicle '{self._vehicle.name}' has no hydraulics"
+                raise InputError(f"{where}: flow: {fault}; accepted: one with them")
             factor *= _TURN * v.volumetric_efficiency / (v.motor_displacement * v.gear_ratio)
         elif unit.quantity is Quantity.SPEED:
             factor /= self._vehicle.kinematics.rolling_radius
         return ScaledSignal(self._signal_id(where, message, signal, role), role.offset, factor / role.ratio)
 
     @staticmethod
-    def _scale_spool(where: str, signal_id: SignalId, role: Role, share: float, unit: Unit) -> ScaledSignal:
+    def _scale_spool(where: str, signal_id: SignalId, role: Role, weight: float, unit: Unit) -> ScaledSignal:
         """Scale a pilot pressure to a spool position: 0 up to ``zero``, ±1 from ``full`` on."""
         zero, full = (
             _parse_pressure(f"{where}: {key}", getattr(role, key), unit) for key in ("zero", "full")
         )
         if full <= zero:
             raise InputError(f"{where}: full: {role.full} is not above zero ({role.zero}); accepted: more")
-        side = role.sign * share
-        return ScaledSignal(signal_id, zero, side / (full - zero), min(side, 0.0), max(side, 0.0))
+        sign = role.sign * weight
+        return ScaledSignal(signal_id, zero, sign / (full - zero), min(sign, 0.0), max(sign, 0.0))
 
     def _bind_position(self, name: str, role: Role) -> PositionSignal:
         where, message, signal = self._find_signal(name, role.signal)
@@ -178,25 +178,27 @@ class Binder:
 
     def _find_signal(self, name: str, reference: str) -> tuple[str, Message, str]:
         """(prefix of messages, frame, signal) for FRAME.SIGNAL, or for a signal name that one frame has."""
-        where = f"roles_file {self._roles}: role '{name}': signal '{reference}'"
+        where = f"roles_file {self._roles_path}: role '{name}': signal '{reference}'"
         frame, _, signal = reference.rpartition(".")
-        found = [
+        frames = [
             message
             for message in self._database.messages
             if frame in ("", message.name) and any(s.name == signal for s in message.signals)
         ]
-        if not found:
-            bad = "".join(f" (frame '{n}' there: {reason})" for n, reason in self._left_out.items())
-            raise InputError(f"{where} is missing in {self._dbc}{bad}; accepted: FRAME.SIGNAL of the DBC")
-        if len(found) > 1:
-            names = ", ".join(f"{message.name}.{signal}" for message in found)
+        if not frames:
+            unreadable = "".join(f" (frame '{n}' there: {reason})" for n, reason in self._left_out.items())
+            raise InputError(
+                f"{where} is missing in {self._dbc_path}{unreadable}; accepted: FRAME.SIGNAL of the DBC"
+            )
+        if len(frames) > 1:
+            names = ", ".join(f"{message.name}.{signal}" for message in frames)
             raise InputError(f"{where} is in several frames; accepted: one of {names}")
-        bits = found[0].get_signal_by_name(signal).length
+        bits = frames[0].get_signal_by_name(signal).length
         if bits > _MOST_BITS:
-            raise InputError(f"{where} has {bits} bits in {self._dbc}; accepted: up to {_MOST_BITS}")
-        if not found[0].get_signal_by_name(signal).scale:
-            raise InputError(f"{where} has the factor 0 in {self._dbc}; accepted: any other")
-        return where, found[0], signal
+            raise InputError(f"{where} has {bits} bits in {self._dbc_path}; accepted: up to {_MOST_BITS}")
+        if not frames[0].get_signal_by_name(signal).scale:
+            raise InputError(f"{where} has the factor 0 in {self._dbc_path}; accepted: any other")
+        return where, frames[0], signal
 
     @staticmethod
     def _signal_id(where: str, message: Message, signal: str, role: Role) -> SignalId:
@@ -205,18 +207,18 @@ class Binder:
         return SignalId(message.name, signal, role.source)
 
     @staticmethod
-    def _unit(where: str, name: str, role: Role, of_dbc: str | None) -> Unit:
+    def _unit(where: str, name: str, role: Role, dbc_unit: str | None) -> Unit:
         """The DBC's unit; the unit of the roles file if the DBC's is empty or unknown."""
-        text = (of_dbc or "").strip()
+        text = (dbc_unit or "").strip()
         requested = accepted_units(ROLES[name])
-        found, stated = UNITS.get(text), UNITS.get(role.unit.strip())
-        if role.unit and stated is None:
+        of_dbc, of_roles = UNITS.get(text), UNITS.get(role.unit.strip())
+        if role.unit and of_roles is None:
             raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {requested}")
-        if found and stated and found != stated:
+        if of_dbc and of_roles and of_dbc != of_roles:
             raise InputError(
                 f"{where}: unit: '{role.unit}', but the DBC has '{text}'; accepted: one unit, there or here"
             )
-        unit = found or stated
+        unit = of_dbc or of_roles
         if unit is None:
             what = f"unit '{text}' of the DBC is unknown" if text else "the DBC has no unit"
             raise InputError(f"{where}: {what}; accepted: unit: one of {requested}")
@@ -230,24 +232,24 @@ class Binder:
 def _parse_pressure(where: str, text: str, unit: Unit) -> float:
     """A pressure of the roles file, converted to the signal's unit."""
     number, _, name = text.strip().partition(" ")
-    own = UNITS.get(name.strip()) if name else unit
+    stated = UNITS.get(name.strip()) if name else unit
     try:
         value = float(number)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value) or own is None or own.quantity is not Quantity.PRESSURE:
+    if not math.isfinite(value) or stated is None or stated.quantity is not Quantity.PRESSURE:
         units = accepted_units((Quantity.PRESSURE,))
         raise InputError(f"{where}: '{text}' is no pressure; accepted: as 0.5 MPa, in {units}")
-    return value * own.factor / unit.factor
+    return value * stated.factor / unit.factor
 
 
 def _steps_per_wrap(field: Field, step: float, rad: float) -> float:
     """Raw steps until a position repeats: the DBC's range, rounded to whole turns if it is close to them."""
-    whole = field.mask + 1.0
+    full_range = field.mask + 1.0
     if field.floating or math.isinf(field.low) or math.isinf(field.high):
-        span = _TURN / rad if field.floating else whole
+        span = _TURN / rad if field.floating else full_range
     else:
-        span = min((field.high - field.low) / abs(step) + 1.0, whole)
+        span = min((field.high - field.low) / abs(step) + 1.0, full_range)
     turn = _TURN / (rad * abs(step))
     turns = round(span / turn)
     return turns * turn if turns and abs(span - turns * turn) <= _ROUNDING_STEPS else span

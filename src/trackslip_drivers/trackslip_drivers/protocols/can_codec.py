@@ -139,8 +139,8 @@ class Codec:
         self.length = message.length
         self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # from the DBC; 0: not given
         self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
-        whole = frozenset(name for name in raw if not self.fields[name].floating)
-        self._requested = [(name, field, name in whole) for name, field in self.fields.items()]
+        integers = frozenset(name for name in raw if not self.fields[name].floating)
+        self._requested = [(name, field, name in integers) for name, field in self.fields.items()]
         self.is_exact = protection.unused_bits_zero  # reject payloads longer than in the DBC
         self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
         self._counter = field_of(message, protection.counter) if protection.counter else None
@@ -222,8 +222,7 @@ class Codec:
 
 def _modulus(counter: Field) -> int:
     """Modulus of a counter: some wrap below the limit of their bits, as the DBC's range states."""
-    whole = counter.mask + 1
-    return int(counter.high) + 1 if 0 < counter.high < counter.mask else whole
+    return int(counter.high) + 1 if 0 < counter.high < counter.mask else counter.mask + 1
 
 
 def _used_bits(message: Message) -> int:

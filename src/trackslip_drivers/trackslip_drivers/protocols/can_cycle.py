@@ -102,10 +102,10 @@ class CycleMeter:
         elif self._cycles >= _BLOCK_CYCLES:
             self._blocks.append(self._time_ns / self._cycles)
             self._time_ns = self._cycles = 0
-            middle = statistics.median_low(self._blocks)  # one of the blocks, so at least one agrees with it
+            median = statistics.median_low(self._blocks)  # one of the blocks, so at least one agrees with it
             if len(self._blocks) >= _MIN_BLOCKS:
                 agreeing = [
-                    block for block in self._blocks if abs(block - middle) <= _NOMINAL_TOLERANCE * middle
+                    block for block in self._blocks if abs(block - median) <= _NOMINAL_TOLERANCE * median
                 ]
                 self.cycle_ns = self._choose_cycle(
                     statistics.fmean(agreeing), _NOMINAL_TOLERANCE, _MIN_INTERVALS
@@ -118,14 +118,16 @@ class CycleMeter:
         ones. If the present cycle then fills the time, the cycle is kept.
         """
         early, late = self._early, self._late
-        unfit = _Intervals(early.count + late.count, early.cycles + late.cycles, early.time_ns + late.time_ns)
+        deviant = _Intervals(
+            early.count + late.count, early.cycles + late.cycles, early.time_ns + late.time_ns
+        )
         stalls = early.count > late.count and late.time_ns > early.time_ns
         if (
-            unfit.time_ns <= (_CHANGE_AMID_STALLS_NS if stalls else _CHANGE_NS)
-            or unfit.count < _MIN_INTERVALS
+            deviant.time_ns <= (_CHANGE_AMID_STALLS_NS if stalls else _CHANGE_NS)
+            or deviant.count < _MIN_INTERVALS
         ):
             return False
-        if stalls and unfit.filled_share(self.cycle_ns or 0.0) >= _MIN_FILLED_SHARE:
+        if stalls and deviant.filled_share(self.cycle_ns or 0.0) >= _MIN_FILLED_SHARE:
             self._early, self._late = _Intervals(), _Intervals()
             return False
         return True

@@ -10,7 +10,7 @@ selectors each, that is 2³⁰ nodes.
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,14 +70,13 @@ def read_dbc(path: Path) -> Dbc:
         except UnicodeDecodeError:
             text = content.decode("cp1252")  # of Windows tools
         _check_numbers(where, _STRING_OR_COMMENT.sub(_blank_text, text))
-        found = load_readable_frames(text)
+        return Dbc(*load_readable_frames(text))
     except InputError:
         raise
     except (OSError, UnicodeDecodeError, CantoolsError) as error:
         raise InputError(f"{where}: not a usable DBC ({error_line(error)})") from error
     except Exception as error:  # damaged text can raise anything in the parser
         raise InputError(f"{where}: not a usable DBC ({type(error).__name__})") from error
-    return Dbc(*found)
 
 
 def error_line(error: Exception) -> str:
@@ -85,9 +84,9 @@ def error_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _blank_text(found: re.Match[str]) -> str:
+def _blank_text(match: re.Match[str]) -> str:
     """Replacement of a string or a comment."""
-    return '""' if found[0].startswith('"') else " "
+    return '""' if match[0].startswith('"') else " "
 
 
 def _check_numbers(where: str, text: str) -> None:
@@ -106,7 +105,7 @@ def _check_numbers(where: str, text: str) -> None:
         frame = f"{where}: frame '{head[2]}'"
         if not head[3].isdecimal() or int(head[3]) > _LONGEST_FRAME:
             raise InputError(f"{frame} of {head[3]} bytes; accepted: 0 to {_LONGEST_FRAME}")
-        signals = [_parse_signal(frame, found) for found in _SIGNAL.finditer(text, head.end(), end)]
+        signals = [_parse_signal(frame, match) for match in _SIGNAL.finditer(text, head.end(), end)]
         if any(signal.is_multiplexer for signal in signals):
             count += _MultiplexerTree(frame, signals, selectors.get(head[1], {})).count_nodes()
         if count > _MOST_SELECTORS:
@@ -114,16 +113,16 @@ def _check_numbers(where: str, text: str) -> None:
             raise InputError(f"{frame}: too many selectors of multiplexers; accepted: {accepted}")
 
 
-def _parse_signal(frame: str, found: re.Match[str]) -> _Signal:
-    name, multiplexed, selector, multiplexer, start, length = found.groups()
+def _parse_signal(frame: str, match: re.Match[str]) -> _Signal:
+    name, multiplexed, selector, multiplexer, start, length = match.groups()
     for what, value, least in (("start bit", int(start), 0), ("length", int(length), 1)):
         if not least <= value <= _MOST_BITS:
             raise InputError(
                 f"{frame}: signal '{name}': {what} {value}; accepted: {least} to {_MOST_BITS}, "
                 f"of up to {_LONGEST_FRAME} bytes"
             )
-    own = int(selector) if multiplexed and selector else None
-    return _Signal(name, bool(multiplexer), own)
+    selected_by = int(selector) if multiplexed and selector else None
+    return _Signal(name, bool(multiplexer), selected_by)
 
 
 _Selectors = Mapping[str, Mapping[str, frozenset[int]]]  # multiplexer → signal → its selectors; "" → choices
@@ -131,7 +130,7 @@ _Selectors = Mapping[str, Mapping[str, frozenset[int]]]  # multiplexer → signa
 
 def _parse_selectors(where: str, text: str) -> Mapping[str, _Selectors]:
     """By frame: the selectors of ``SG_MUL_VAL_``, and the choices of ``VAL_`` under the signal name ''."""
-    found: defaultdict[str, dict[str, dict[str, frozenset[int]]]] = defaultdict(dict)
+    selectors: defaultdict[str, dict[str, dict[str, frozenset[int]]]] = defaultdict(dict)
     count = 0
     for frame, signal, multiplexer, ranges in _RANGES.findall(text):
         bounds = [(int(low), int(high)) for low, high in _RANGE.findall(ranges)]
@@ -141,27 +140,27 @@ def _parse_selectors(where: str, text: str) -> Mapping[str, _Selectors]:
             raise InputError(
                 f"{where}: signal '{signal}': too many selectors of multiplexers; accepted: {accepted}"
             )
-        own = frozenset(k for low, high in bounds for k in range(low, high + 1))
-        found[frame].setdefault(multiplexer, {})[signal] = own
+        values = frozenset(k for low, high in bounds for k in range(low, high + 1))
+        selectors[frame].setdefault(multiplexer, {})[signal] = values
     for frame, signal, choices in _CHOICES.findall(text):
-        found[frame].setdefault(signal, {})[""] = frozenset(map(int, _CHOICE.findall(choices)))
-    return found
+        selectors[frame].setdefault(signal, {})[""] = frozenset(map(int, _CHOICE.findall(choices)))
+    return selectors
 
 
 class _MultiplexerTree:
     """Counts the nodes that cantools builds below the multiplexers of a frame."""
 
     def __init__(self, frame: str, signals: list[_Signal], selectors: _Selectors) -> None:
-        self._frame, self._selectors = frame, selectors
+        self._frame = frame
         self._multiplexers = [signal.name for signal in signals if signal.is_multiplexer]
-        first = self._multiplexers[0] if len(self._multiplexers) == 1 else ""
-        own = {signal.name: signal.selector for signal in signals if signal.selector is not None}
+        only = self._multiplexers[0] if len(self._multiplexers) == 1 else ""
+        selector_of = {signal.name: signal.selector for signal in signals if signal.selector is not None}
         self._signals_below: dict[str, dict[str, frozenset[int]]] = {
             name: dict(selectors.get(name, {})) for name in self._multiplexers
         }
-        for name, selector in own.items() if first else ():
-            known = self._signals_below[first].get(name, frozenset())
-            self._signals_below[first][name] = known | {selector}
+        for name, selector in selector_of.items() if only else ():
+            known = self._signals_below[only].get(name, frozenset())
+            self._signals_below[only][name] = known | {selector}
         self._node_counts: dict[str, int] = {}
 
     def count_nodes(self) -> int:
@@ -177,10 +176,9 @@ class _MultiplexerTree:
             below = self._signals_below[name]
             ids = frozenset[int]().union(*below.values())
             inner = (
-                len(below[one]) * self._count_below(one, depth + 1) for one in self._inner_multiplexers(name)
+                len(values) * self._count_below(one, depth + 1)
+                for one, values in below.items()
+                if one in self._signals_below
             )
             self._node_counts[name] = len(ids) + sum(inner)
         return self._node_counts[name]
-
-    def _inner_multiplexers(self, name: str) -> Iterator[str]:
-        return (one for one in self._signals_below[name] if one in self._signals_below)

@@ -60,28 +60,28 @@ class FrameSet:
     """
 
     def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
-        contract = read_dbc(dbc)
-        database = contract.database
-        given = read_roles(roles)
-        self.roles = given.roles
+        parsed_dbc = read_dbc(dbc)
+        database = parsed_dbc.database
+        roles_file = read_roles(roles)
+        self.roles = roles_file.roles
         for message in database.messages:
-            if given.protections.get(message.name, Protection()).j1939:
+            if roles_file.protections.get(message.name, Protection()).j1939:
                 message.protocol = "j1939"
-        self.bindings = Binder(contract, vehicle, dbc, roles).bind(given.roles)
+        self.bindings = Binder(parsed_dbc, vehicle, dbc, roles).bind(roles_file.roles)
         names = {signal_id.frame for signal_id in self.bindings.signal_ids()}
         used = [message for message in database.messages if message.name in names]
         self.by_name = {message.name: message for message in used}
         if len(used) > len(self.by_name):
             twice = next(message.name for message in used if message is not self.by_name[message.name])
             raise InputError(f"dbc_file {dbc}: frame '{twice}' is there twice; accepted: a name for each")
-        for name in given.protections.keys() - names:
+        for name in roles_file.protections.keys() - names:
             raise InputError(
                 f"roles_file {roles}: frame '{name}' has no role; accepted: {', '.join(sorted(names))}"
             )
         self.codecs: dict[str, Codec] = {}
         for name, message in self.by_name.items():
             _check_signals(f"dbc_file {dbc}: frame '{name}'", message)
-            protection = given.protections.get(name, Protection())
+            protection = roles_file.protections.get(name, Protection())
             _check_protection(f"roles_file {roles}: frame '{name}'", message, protection)
             self.codecs[name] = self._make_codec(message, protection)
         self._ids = {name: _flagged_id(message) for name, message in self.by_name.items()}
@@ -159,7 +159,7 @@ class FrameDecoder:
     """Accepts frames that pass every check, and determines when each was sent.
 
     Attributes:
-        others: number of frames without a role.
+        frames_without_role: number of received frames without a role.
     """
 
     def __init__(self, frames: FrameSet, tally: Tally) -> None:
@@ -199,9 +199,9 @@ class FrameDecoder:
 
     def _count_frame_without_role(self, arbitration_id: int) -> Sequence[Frame]:
         """Count a frame without a role; note one whose id differs only by source address or priority."""
-        found = self._frames.find_other_source(arbitration_id)
-        if found is not None and found[1] not in self._timings:
-            name, own_id = found
+        similar = self._frames.find_other_source(arbitration_id)
+        if similar is not None and similar[1] not in self._timings:
+            name, own_id = similar
             self.other_sources[name] = (own_id, arbitration_id)
         self.frames_without_role += 1
         if len(self.ids_without_role) < _SHOWN_IDS:
@@ -223,21 +223,21 @@ class FrameDecoder:
         for frame in {
             signal_id.frame for signal_id in self._frames.bindings.signal_ids() if signal_id.source < 0
         }:
-            known = {identifier: self._frames.find_codec(identifier) for identifier in self._timings}
-            of_frame = {one & 0xFF for one, codec in known.items() if codec and codec.name == frame}
-            if len(of_frame) > 1:
-                sources = " and ".join(f"0x{source:02X}" for source in sorted(of_frame))
+            codecs = {identifier: self._frames.find_codec(identifier) for identifier in self._timings}
+            addresses = {key & 0xFF for key, codec in codecs.items() if codec and codec.name == frame}
+            if len(addresses) > 1:
+                sources = " and ".join(f"0x{source:02X}" for source in sorted(addresses))
                 remedy = "set source: one of them in its roles"
                 return f"frame '{frame}' comes from source addresses {sources}; {remedy}"
         return ""
 
     def no_role_message(self) -> str:
         """Message with the reason why no frame has a role, and the remedy; empty if unknown."""
-        if found := self.other_source_message():
-            return found
+        if message := self.other_source_message():
+            return message
         if not self.ids_without_role or self._has_role:
             return ""
-        ids = ", ".join(f"0x{name & _ID_BITS:X}" for name in self.ids_without_role)
+        ids = ", ".join(f"0x{identifier & _ID_BITS:X}" for identifier in self.ids_without_role)
         return f"frames come (ids {ids}), but none with a role; check dbc_file and roles_file"
 
     def resume(self) -> None:
@@ -247,10 +247,10 @@ class FrameDecoder:
 
     def cycle_ns(self, name: str) -> float:
         """The longest measured cycle of a frame's senders, ns; 0 while none is known."""
-        known = [self._frames.find_codec(identifier) for identifier in self._timings]
+        codecs = [self._frames.find_codec(identifier) for identifier in self._timings]
         cycles = [
             timing.cycle_ns or 0.0
-            for codec, timing in zip(known, self._timings.values(), strict=True)
+            for codec, timing in zip(codecs, self._timings.values(), strict=True)
             if codec is not None and codec.name == name
         ]
         return max(cycles, default=0.0)

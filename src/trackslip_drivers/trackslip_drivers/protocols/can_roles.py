@@ -59,7 +59,6 @@ _SPOOL_KEYS = ("zero", "full")
 _POSITION_KEYS = ("counts_per_turn", "wraps_at")
 _MOTION_KEYS = ("ratio",)
 _NON_MOTION_QUANTITIES = (Quantity.PRESSURE, Quantity.RATIO)
-_ACCEPTED = "accepted: "
 
 
 class RolesFile(NamedTuple):
@@ -78,9 +77,9 @@ def read_roles(path: Path) -> RolesFile:
     tree = read_yaml(path)
     where = f"roles_file {path}"
     check_keys(where, tree, (), ("roles", "frames"), "section")
-    given, frames = (section(f"{where}: {name}", tree.get(name) or {}) for name in ("roles", "frames"))
-    check_keys(where, given, (), ROLES, "role")
-    roles = {name: _parse_role(f"{where}: role '{name}'", name, entry) for name, entry in given.items()}
+    entries, frames = (section(f"{where}: {name}", tree.get(name) or {}) for name in ("roles", "frames"))
+    check_keys(where, entries, (), ROLES, "role")
+    roles = {name: _parse_role(f"{where}: role '{name}'", name, entry) for name, entry in entries.items()}
     _check_sides(where, roles)
     protections = {
         name: _parse_protection(f"{where}: frame '{name}'", entry) for name, entry in frames.items()
@@ -90,19 +89,17 @@ def read_roles(path: Path) -> RolesFile:
 
 def _check_sides(where: str, roles: Mapping[str, Role]) -> None:
     if not roles:
-        raise InputError(f"{where}: no roles; {_ACCEPTED}{', '.join(ROLES)}")
+        raise InputError(f"{where}: no roles; accepted: {', '.join(ROLES)}")
     for what in _SIDE_QUANTITIES:
         left, right = (f"{side}_{what}" for side in SIDES)
         if (left in roles) != (right in roles):
             missing, there = (left, right) if right in roles else (right, left)
-            raise InputError(
-                f"{where}: role '{missing}' is missing beside '{there}'; {_ACCEPTED}both or none"
-            )
+            raise InputError(f"{where}: role '{missing}' is missing beside '{there}'; accepted: both or none")
     motions = [f"left_{what}" for what in MOTIONS if f"left_{what}" in roles]
     if len(motions) > 1:
         names = ", ".join(f"'{name}'" for name in motions)
         raise InputError(
-            f"{where}: roles {names} overlap: each is the sprocket's motion; {_ACCEPTED}one of them"
+            f"{where}: roles {names} overlap: each is the sprocket's motion; accepted: one of them"
         )
 
 
@@ -111,7 +108,7 @@ def _parse_role(where: str, name: str, entry: Any) -> Role:
         entry = {"signal": entry}
     entry = section(where, entry)
     if "signal" not in entry:
-        raise InputError(f"{where}: 'signal' is missing; {_ACCEPTED}FRAME.SIGNAL of the DBC")
+        raise InputError(f"{where}: 'signal' is missing; accepted: FRAME.SIGNAL of the DBC")
     is_position = ROLES[name] == _POSITION_QUANTITIES
     excluded_keys = (
         ()
@@ -126,29 +123,32 @@ def _parse_role(where: str, name: str, entry: Any) -> Role:
     check_keys(where, entry, (), [key for key in Role._fields if key not in excluded_keys])
     if is_position and "minus" in entry:
         raise InputError(
-            f"{where}: minus: a position is one signal; {_ACCEPTED}'minus' of pressures, speeds, flows"
+            f"{where}: minus: a position is one signal; accepted: 'minus' of pressures, speeds, flows"
         )
     defaults = Role._field_defaults | {"signal": ""}
     role = Role(**{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
     if role.sign not in (1, -1):
-        raise InputError(f"{where}: sign: {role.sign} is out of range; {_ACCEPTED}1 or -1")
+        raise InputError(f"{where}: sign: {role.sign} is out of range; accepted: 1 or -1")
     for key in ("ratio", *_POSITION_KEYS):
         if key in entry and not 0.0 < getattr(role, key) < 1e12:
-            raise InputError(f"{where}: {key}: {getattr(role, key):g} is out of range; {_ACCEPTED}> 0")
+            raise InputError(f"{where}: {key}: {getattr(role, key):g} is out of range; accepted: > 0")
     if "source" in entry and not 0 <= role.source <= 0xFF:
-        raise InputError(f"{where}: source: {role.source} is out of range; {_ACCEPTED}0 to 255")
+        raise InputError(f"{where}: source: {role.source} is out of range; accepted: 0 to 255")
     return role
 
 
 def _parse_protection(where: str, entry: Any) -> Protection:
     entry, defaults = section(where, entry), Protection._field_defaults
     check_keys(where, entry, (), Protection._fields)
-    found = Protection(**{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
-    if found.checksum and found.checksum_type not in CHECKSUMS:
+    protection = Protection(
+        **{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry}
+    )
+    if protection.checksum and protection.checksum_type not in CHECKSUMS:
+        accepted = ", ".join(CHECKSUMS)
         raise InputError(
-            f"{where}: checksum_type: '{found.checksum_type}' is unknown; {_ACCEPTED}{', '.join(CHECKSUMS)}"
+            f"{where}: checksum_type: '{protection.checksum_type}' is unknown; accepted: {accepted}"
         )
-    return found
+    return protection
 
 
 def _convert_value(where: str, value: Any, default: Any) -> Any:

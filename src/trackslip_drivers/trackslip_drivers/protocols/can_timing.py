@@ -147,14 +147,14 @@ class CountedFrames(FrameTiming):
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """See ``FrameTiming``."""
         assert count is not None
-        placed = []
+        timed = []
         if self._held:
             last = self._held[-1].frame
             cycles, late = self._cycles_since(last.number, last.arrival_ns, count, arrival_ns)
             if not self._possible_turns(late):
                 self._held.append(_HeldFrame(_Arrival(arrival_ns, values, count), cycles, late))
                 return self._release_held() if self._has_caught_up() else []
-            placed = self._release_held()
+            timed = self._release_held()
         if self._accepted_ns is None or self._count is None:
             return [self._accept_frame(arrival_ns, values, count, 0)]
         # A repeated count is timed from the last frame seen: a stuck counter never looks like a lost turn.
@@ -164,10 +164,10 @@ class CountedFrames(FrameTiming):
         if self._possible_turns(late):
             self._held = [_HeldFrame(_Arrival(arrival_ns, values, count), cycles, late)]
         elif cycles:
-            placed.append(self._accept_frame(arrival_ns, values, count, cycles))
+            timed.append(self._accept_frame(arrival_ns, values, count, cycles))
         else:
             self._report(TimingEvent.ALIVE_REPEATED, 1)
-        return placed
+        return timed
 
     def _cycles_since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
         """(cycles between two frames by their counts, cycles by which the second arrived later than that)."""
@@ -180,26 +180,26 @@ class CountedFrames(FrameTiming):
 
     def _lost_turns(self) -> int:
         """Lost turns of the counter, from the least late of the held frames."""
-        return self._possible_turns(min(accumulate(step.late for step in self._held)))
+        return self._possible_turns(min(accumulate(held.late for held in self._held)))
 
     def _has_caught_up(self) -> bool:
         """Whether the held frames can be timed: no turn was lost, or the last two came normally."""
-        times = [step.frame.arrival_ns for step in self._held[-3:]]
+        times = [held.frame.arrival_ns for held in self._held[-3:]]
         min_interval_ns = PROMPT_TOLERANCE * (self._meter.cycle_ns or 0.0)
         is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= min_interval_ns
         return is_prompt or not self._lost_turns() or len(self._held) >= _MAX_HELD_FRAMES
 
     def _release_held(self) -> list[Frame]:
         """Return the held frames with their times, the first of them after the lost turns."""
-        turns, placed = self._lost_turns(), []
-        for step in self._held:
-            if step.cycles or turns:
-                placed.append(self._accept_frame(*step.frame, step.cycles + turns * self._modulus))
+        turns, timed = self._lost_turns(), []
+        for held in self._held:
+            if held.cycles or turns:
+                timed.append(self._accept_frame(*held.frame, held.cycles + turns * self._modulus))
             else:
                 self._report(TimingEvent.ALIVE_REPEATED, 1)
             turns = 0
         self._held = []
-        return placed
+        return timed
 
     def _accept_frame(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
         """Time a frame ``cycles`` after the previous one (0: unknown); reports frames lost between."""
@@ -238,8 +238,8 @@ class UncountedFrames(FrameTiming):
             if self._held:
                 self._held = frame
             return []
-        placed = (
+        timed = (
             [] if self._held is None else [self._timed_frame(self._held.arrival_ns, self._held.values, None)]
         )
         self._held = frame if cycle_ns and since_ns > _PAUSE_CYCLES * cycle_ns else None
-        return placed if self._held else [*placed, self._timed_frame(arrival_ns, values, None)]
+        return timed if self._held else [*timed, self._timed_frame(arrival_ns, values, None)]

@@ -64,18 +64,18 @@ def load_readable_frames(text: str) -> tuple[Database, Mapping[str, str]]:
 
 
 def _load(text: str) -> Database:
-    found = cantools.database.load_string(text, database_format="dbc", strict=False)
-    if not isinstance(found, Database):
+    database = cantools.database.load_string(text, database_format="dbc", strict=False)
+    if not isinstance(database, Database):
         raise ValueError("not of CAN frames")
-    return found
+    return database
 
 
 def _split_frames(text: str) -> tuple[str, list[_FrameText]]:
     """(text shared by all frames, the frames)."""
     blank = _STRING.sub(
-        lambda found: '"' + "x" * (len(found[0]) - 2) + '"', text
+        lambda match: '"' + "x" * (len(match[0]) - 2) + '"', text
     )  # hides keywords in strings
-    starts = [found.start() for found in _STATEMENT.finditer(blank)]
+    starts = [match.start() for match in _STATEMENT.finditer(blank)]
     pieces = [text[start:end] for start, end in zip([0, *starts], [*starts, len(text)], strict=True)]
     frames: dict[str, tuple[str, str]] = {}
     statements: defaultdict[str, list[str]] = defaultdict(list)
@@ -83,8 +83,8 @@ def _split_frames(text: str) -> tuple[str, list[_FrameText]]:
     for piece in pieces:
         if (frame := _FRAME.match(piece)) is not None:
             frames[frame[1]] = (frame[2], piece)
-        elif (found := _FRAME_STATEMENT.match(piece)) is not None:
-            statements[found[1]].append(piece)
+        elif (match := _FRAME_STATEMENT.match(piece)) is not None:
+            statements[match[1]].append(piece)
         else:
             shared.append(piece)
     return "".join(shared), [
@@ -112,19 +112,16 @@ def _loadable_frames(shared: str, parts: Sequence[_FrameText], left_out: dict[st
 
 def _drop_bad_statements(shared: str, part: _FrameText) -> _FrameText | None:
     """A frame without the choices, comments and attributes that fail; None if the frame itself fails."""
-    kept: list[str] = []
-    for piece in (
-        *(p for p in part.statements if _SIGNAL_DEFINITION.match(p)),
-        *(p for p in part.statements if not _SIGNAL_DEFINITION.match(p)),
-    ):
+    statements: list[str] = []
+    for piece in sorted(part.statements, key=lambda piece: _SIGNAL_DEFINITION.match(piece) is None):
         try:
-            _load(shared + "\n" + _FrameText(part.name, part.frame, [*kept, piece]).text())
-            kept.append(piece)
+            _load(shared + "\n" + _FrameText(part.name, part.frame, [*statements, piece]).text())
+            statements.append(piece)
         except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
             if _SIGNAL_DEFINITION.match(piece):
                 return None
     try:
-        _load(shared + "\n" + _FrameText(part.name, part.frame, kept).text())
+        _load(shared + "\n" + _FrameText(part.name, part.frame, statements).text())
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None
-    return part._replace(statements=kept)
+    return part._replace(statements=statements)

@@ -107,8 +107,7 @@ class SprocketEncoder:
 
     def _restart_after_silence(self, raw: float, moved: float) -> EncoderEvent:
         """Restart after a long silence; the next reading resolves the distance turned in it."""
-        is_certain = self._velocity is not None and self._silence is None and not self._has_jumped
-        if is_certain and self._velocity is not None:
+        if self._velocity is not None and self._silence is None and not self._has_jumped:
             self._silence = _Silence(self._silent_ns, self._velocity, moved)
         else:
             self._silence, self._is_distance_unknown = None, True

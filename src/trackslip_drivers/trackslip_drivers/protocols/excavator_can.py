@@ -19,7 +19,7 @@ from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_binding import PositionSignal, SignalId
 from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_frames import FrameDecoder, FrameSet, Rejection
-from trackslip_drivers.protocols.can_roles import MOTIONS, SIDES, SUPPLY, SWING
+from trackslip_drivers.protocols.can_roles import MOTIONS, SIDES, SPOOLS, SUPPLY, SWING
 from trackslip_drivers.protocols.can_timing import Frame
 from trackslip_drivers.protocols.encoder import EncoderEvent, Motion, SprocketEncoder
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
@@ -29,9 +29,8 @@ Sample = SprocketSample | HydraulicsSample | SwingSample
 
 _NS_PER_S = 1_000_000_000
 _NEVER_NS = -(2**62)  # before all stamps
-_SPOOLS = tuple(f"{side}_spool" for side in SIDES)
 _PRESSURES = tuple(f"{side}_pressure" for side in SIDES)
-_HYDRAULIC_ROLES = (*_PRESSURES, *_SPOOLS, SUPPLY)
+_HYDRAULIC_ROLES = (*_PRESSURES, *SPOOLS, SUPPLY)
 
 
 class PairingRejection(Enum):
@@ -55,7 +54,7 @@ class ExcavatorCan:
         self._outputs: list[_Output] = []
         if any(f"left_{what}" in frames.roles for what in MOTIONS):
             self._outputs.append(_Sprockets(parameters, frames, tally))
-        if frames.roles.keys() & {*_PRESSURES, *_SPOOLS, SUPPLY}:
+        if frames.roles.keys() & set(_HYDRAULIC_ROLES):
             self._outputs.append(_Hydraulics(parameters, frames, tally))
         if SWING in frames.roles:
             self._outputs.append(_Swing(parameters, frames, tally))
@@ -76,10 +75,10 @@ class ExcavatorCan:
         frames = self.decoder.decode(arbitration_id, data, stamp_ns)
         if isinstance(frames, Rejection):
             return []
-        found = [output.receive(frame) for frame in frames for output in self._by_frame[frame.name]]
-        samples = [sample for sample in found if sample]
+        outputs = ((output, frame) for frame in frames for output in self._by_frame[frame.name])
+        samples = [sample for output, frame in outputs if (sample := output.receive(frame))]
         if self._offset_ns:
-            samples = [one._replace(stamp_ns=one.stamp_ns + self._offset_ns) for one in samples]
+            samples = [sample._replace(stamp_ns=sample.stamp_ns + self._offset_ns) for sample in samples]
         return samples
 
     def resume(self) -> None:
@@ -131,13 +130,13 @@ class _Output(ABC):
             for role, of_role in signal_ids.items()
         }
         self._parts = {role: tuple(zip(self.readings[role], scaled[role], strict=True)) for role in scaled}
-        every = [reading for readings in self.readings.values() for reading in readings]
-        self._leading = [reading for reading in every if reading.is_leading]
-        self._others = [reading for reading in every if not reading.is_leading]
+        all_readings = [reading for readings in self.readings.values() for reading in readings]
+        self._leading = [reading for reading in all_readings if reading.is_leading]
+        self._others = [reading for reading in all_readings if not reading.is_leading]
         self._missing = len(self._leading)  # leading readings not received since the previous sample
         self.leading_frames = {reading.signal_id.frame for reading in self._leading}
         self._by_frame: defaultdict[str, list[_Reading]] = defaultdict(list)
-        for reading in every:
+        for reading in all_readings:
             self._by_frame[reading.signal_id.frame].append(reading)
         self.frames = self._by_frame.keys()
 
@@ -222,8 +221,8 @@ class _Sprockets(_Output):
             motion = reading.motion if reading.encoder else Motion(math.nan, self.si_value(role))
             if isinstance(motion, EncoderEvent):
                 return None
-            later = (stamp_ns - reading.stamp_ns) / _NS_PER_S
-            sides.append((motion.position + motion.velocity * later, motion.velocity))
+            delay = (stamp_ns - reading.stamp_ns) / _NS_PER_S
+            sides.append((motion.position + motion.velocity * delay, motion.velocity))
         (left, left_velocity), (right, right_velocity) = sides
         if math.isnan(left) or math.isnan(right):
             left = right = math.nan
@@ -234,9 +233,9 @@ class _Hydraulics(_Output):
     kind = HydraulicsSample
 
     def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
-        levels = (_PRESSURES, _SPOOLS, (SUPPLY,))
-        present = [level for level in levels if level[0] in frames.roles]
-        self.leading, self.others = present[0], tuple(role for level in present[1:] for role in level)
+        groups = (_PRESSURES, SPOOLS, (SUPPLY,))
+        present = [group for group in groups if group[0] in frames.roles]
+        self.leading, self.others = present[0], tuple(role for group in present[1:] for role in group)
         super().__init__(p, frames, tally)
 
     def make_sample(self, stamp_ns: int) -> HydraulicsSample:
