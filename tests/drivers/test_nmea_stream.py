@@ -215,9 +215,9 @@ def test_velocity_comes_once_an_epoch_at_the_stamp_of_its_fix(order):
     for k, time_ns in enumerate(EPOCHS):
         both = rmc(at(time_ns)._replace(speed=1.0, course=90.0)), VTG
         samples += parser.feed(gga(at(time_ns)) + both[order[0]] + both[order[1]], 5 * S + k * S // 10)
-    fixes, found = ([s for s in samples if isinstance(s, kind)] for kind in (FixSample, VelocitySample))
-    assert [s.stamp_ns for s in found] == [s.stamp_ns for s in fixes]
-    assert found[0][1:] == pytest.approx((1.0, 0.0, P.velocity_stddev), abs=1e-3)
+    fixes, velocities = ([s for s in samples if isinstance(s, kind)] for kind in (FixSample, VelocitySample))
+    assert [s.stamp_ns for s in velocities] == [s.stamp_ns for s in fixes]
+    assert velocities[0][1:] == pytest.approx((1.0, 0.0, P.velocity_stddev), abs=1e-3)
     assert parser.duplicates == len(EPOCHS)
 
 
@@ -312,7 +312,7 @@ def test_rejections_are_counted_and_other_sentences_are_not():
     parser = stream()
     parser.feed(b"$GPGSV,3,1*4B\r\n" + gga(at(0, quality=6)) + b"noise\r\n" + b"x" * 2000 + b"\n", S)
     assert parser.tally.by_source()["fix"] == {"dead reckoning": 1, "no line end": 1, "no sentence": 1}
-    assert parser.others == 1
+    assert parser.unused_sentences == 1
 
 
 @given(st.integers(1, 40))

@@ -99,9 +99,9 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         """The driver's health, with latency and counters of the stream; and that of the corrections."""
         (entry, *others) = super().health()
         entry.values["latency (s)"] = f"{self._stream.latency_ns * 1e-9:.3f}"
-        entry.values["unused sentences"] = self._stream.others
+        entry.values["unused sentences"] = self._stream.unused_sentences
         entry.values["duplicate measurements"] = self._stream.duplicates
-        entry.values["bytes between sentences"] = self._stream.binary
+        entry.values["bytes between sentences"] = self._stream.bytes_between_sentences
         return [entry, *others, *self._health_of_corrections()]
 
     def _health_of_corrections(self) -> list[Health]:

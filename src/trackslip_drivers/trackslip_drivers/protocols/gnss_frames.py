@@ -113,38 +113,38 @@ class FrameSplitter:
         return self._rtcm_size() if first == _RTCM else 0
 
     def _sentence_size(self) -> int | None:
-        found = _LINE_END.search(self._pending, 1, LONGEST_LINE + 1)
-        end = found.start() if found else -1
-        held = min(len(self._pending), LONGEST_LINE + 1) if end < 0 else end
-        if _NON_TEXT.search(self._pending, 1, held) or self._pending.find(_SENTENCE, 1, held) > 0:
+        match = _LINE_END.search(self._pending, 1, LONGEST_LINE + 1)
+        end = match.start() if match else -1
+        length = min(len(self._pending), LONGEST_LINE + 1) if end < 0 else end
+        if _NON_TEXT.search(self._pending, 1, length) or self._pending.find(_SENTENCE, 1, length) > 0:
             return 0
         if end > 0:
             return end + 1
         return None if len(self._pending) <= LONGEST_LINE else 0
 
     def _ubx_size(self) -> int | None:
-        held = self._pending
-        if len(held) > 1 and held[1] != _UBX[1]:
+        pending = self._pending
+        if len(pending) > 1 and pending[1] != _UBX[1]:
             return 0
-        if len(held) < 6:
+        if len(pending) < 6:
             return None
-        size = int.from_bytes(held[4:6], "little") + 8
+        size = int.from_bytes(pending[4:6], "little") + 8
         if size > LONGEST_MESSAGE:
             return 0
-        if len(held) < size:
+        if len(pending) < size:
             return None
-        return size if calc_checksum(bytes(held[2 : size - 2])) == held[size - 2 : size] else 0
+        return size if calc_checksum(bytes(pending[2 : size - 2])) == pending[size - 2 : size] else 0
 
     def _rtcm_size(self) -> int | None:
-        held = self._pending
-        if len(held) > 1 and held[1] & 0xFC:
+        pending = self._pending
+        if len(pending) > 1 and pending[1] & 0xFC:
             return 0
-        if len(held) < 3:
+        if len(pending) < 3:
             return None
-        size = int.from_bytes(held[1:3], "big") + 6
-        if len(held) < size:
+        size = int.from_bytes(pending[1:3], "big") + 6
+        if len(pending) < size:
             return None
-        return 0 if calc_crc24q(bytes(held[:size])) else size
+        return 0 if calc_crc24q(bytes(pending[:size])) else size
 
     def _skip_noise(self) -> Iterator[Frame]:
         """Move bytes to the noise, up to the next possible start of a message or end of a line."""
@@ -154,8 +154,8 @@ class FrameSplitter:
             self._discard_bytes(1)
             yield from self._flush_noise(Kind.TEXT)
             return
-        found = _NOISE_END.search(self._pending, 1)
-        size = found.start() if found else len(self._pending)
+        match = _NOISE_END.search(self._pending, 1)
+        size = match.start() if match else len(self._pending)
         self._noise += self._pending[:size]
         self._discard_bytes(size)
         if len(self._noise) > LONGEST_LINE:
@@ -182,12 +182,12 @@ class FrameSplitter:
 
     def _extract_message(self, kind: Kind, size: int) -> Frame:
         """Remove a complete message; each read bounds its begin from above, at the line rate."""
-        held, arrival_ns = self._reads[-1]
+        received, arrival_ns = self._reads[-1]
         begun_ns = min(arrived_ns - self.transfer_ns(count) for count, arrived_ns in self._reads)
         content = bytes(self._pending[:size])
         content = content.rstrip(b"\r\n") if kind is Kind.SENTENCE else content
         self._discard_bytes(size)
-        return Frame(kind, content, begun_ns, arrival_ns - self.transfer_ns(held - size))
+        return Frame(kind, content, begun_ns, arrival_ns - self.transfer_ns(received - size))
 
     def _discard_bytes(self, size: int) -> None:
         self._latest_ns = self._reads[-1][1]

@@ -5,8 +5,8 @@
     $GNGGA,101530.20,3352.1234567,S,15112.7654321,E,4,18,0.6,41.20,M,22.10,M,1.0,0021*5C
 
     u     time of day stated by the receiver, UTC                                       ns
-    h     heading of the pair of antennas, clockwise from true north                  °
-    ψ     the same east = 0, counter-clockwise: ψ = 90° − h                           rad
+    h     heading of the antenna pair, clockwise from true north                      °
+    ψ     the same heading, counter-clockwise from east: ψ = 90° − h                  rad
 
 pynmeagps reads the fields. Checksums, validity fields, ranges and empty fields are checked here. Angles and
 times, whose width varies between makes, are parsed here. A sentence is accepted, or has a reason for its
@@ -24,7 +24,6 @@ from pynmeagps.nmeahelpers import calc_checksum
 
 from trackslip_drivers.records import FixStatus
 
-TERMINATOR = b"\n"
 BITS_PER_CHAR = 10  # 8N1
 LONGEST_LINE = 512  # bytes; 82 by the standard, which proprietary sentences exceed
 
@@ -163,8 +162,8 @@ def decode(line: bytes) -> Reading | Rejection | None:
     _, start, content = line.rpartition(b"$")
     if not start:
         return Rejection.NOT_NMEA
-    found = read_sentence(b"$" + content)
-    return found.reading if isinstance(found, Sentence) else found
+    sentence = read_sentence(b"$" + content)
+    return sentence.reading if isinstance(sentence, Sentence) else sentence
 
 
 def yaw_of_heading(heading: float) -> float:
@@ -195,13 +194,13 @@ def _parse_fields(kind: str, content: bytes, checksum: bytes) -> Any:
     return NMEAReader.parse(b"$" + content + b"*" + checksum, validate=VALNONE)
 
 
-def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    if {getattr(found, "altUnit", ""), getattr(found, "sepUnit", "")} - {"M", ""}:
-        return _quality_rejection(found.quality) or Rejection.NOT_METRES
-    return _position(found.quality, fields, found.HDOP, (found.alt, found.sep))
+def _gga(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if {getattr(parsed, "altUnit", ""), getattr(parsed, "sepUnit", "")} - {"M", ""}:
+        return _quality_rejection(parsed.quality) or Rejection.NOT_METRES
+    return _position(parsed.quality, fields, parsed.HDOP, (parsed.alt, parsed.sep))
 
 
-def _gns(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _gns(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """GNS: the mode has one letter for each satellite system; the best of them is used.
 
     The status is S safe, C caution, U unsafe, or V of receivers that state none, which are most.
@@ -238,24 +237,24 @@ def _position(
     return Gga(time_ns, latitude, longitude, altitude, quality, hdop if hdop > 0.0 else math.nan)
 
 
-def _gst(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _gst(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """GST: a standard deviation of 0 is impossible, and counts as unknown."""
-    stated = [_number(value) for value in (found.stdLong, found.stdLat, found.stdAlt)]
+    stated = [_number(value) for value in (parsed.stdLong, parsed.stdLat, parsed.stdAlt)]
     if any(value < 0.0 or value >= _MAX_STDDEV for value in stated):
         return Rejection.OUT_OF_RANGE
     east, north, up = (value or math.nan for value in stated)
     return Gst(time_of_day_ns(fields[0]), east, north, up)
 
 
-def _rmc(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    if found.status != "A":
+def _rmc(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if parsed.status != "A":
         return Rejection.WARNING
     time_ns, speed, course = time_of_day_ns(fields[0]), _number(fields[6]), _number(fields[7])
     velocity = None if math.isnan(speed) else _velocity(time_ns, speed * _KNOT, course)
-    return _mode_rejection(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(time_ns, velocity)
+    return _mode_rejection(getattr(parsed, "posMode", ""), Rejection.WARNING) or Rmc(time_ns, velocity)
 
 
-def _vtg(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _vtg(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """VTG: course and speed; old receivers omit units and mode."""
     if len(fields) < 8 or fields[1] not in ("T", "") or fields[7] not in ("K", ""):
         return Rejection.MALFORMED
@@ -284,41 +283,43 @@ def _mode_rejection(mode: str, invalid: Rejection) -> Rejection | None:
     return reasons.get(mode) or (Rejection.NOT_MEASURED if mode in ("M", "S") else None)
 
 
-def _hdt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    return _heading(None, found.headingT, found.headingTu, needs_fix=True)
+def _hdt(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
+    return _heading(None, parsed.headingT, parsed.headingTu, needs_fix=True)
 
 
-def _ths(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    if found.mi == "":
+def _ths(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if parsed.mi == "":
         return Rejection.NO_HEADING
-    return _mode_rejection(found.mi, Rejection.NO_HEADING) or _heading(None, found.headt)
+    return _mode_rejection(parsed.mi, Rejection.NO_HEADING) or _heading(None, parsed.headt)
 
 
-def _pashr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    if getattr(found, "gnssQual", "") == _NO_FIX:
+def _pashr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if getattr(parsed, "gnssQual", "") == _NO_FIX:
         return Rejection.NO_FIX
-    return _heading(time_of_day_ns(fields[0]), found.trueHdg, found.trueHdgInd, _accuracy(found.hdgAcc))
+    return _heading(time_of_day_ns(fields[0]), parsed.trueHdg, parsed.trueHdgInd, _accuracy(parsed.hdgAcc))
 
 
-def _avr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _avr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """Trimble: quality 3 is RTK fixed."""
-    if found.gpsQual in ("", _NO_FIX):
+    if parsed.gpsQual in ("", _NO_FIX):
         return Rejection.NO_FIX
-    if found.gpsQual != 3:
+    if parsed.gpsQual != 3:
         return Rejection.NOT_FIXED
-    return _heading(time_of_day_ns(fields[1]), found.yaw % 360.0 if -180.0 <= found.yaw < 0.0 else found.yaw)
+    return _heading(
+        time_of_day_ns(fields[1]), parsed.yaw % 360.0 if -180.0 <= parsed.yaw < 0.0 else parsed.yaw
+    )
 
 
-def _hrp(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _hrp(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """Septentrio: modes 2 and 4 have fixed ambiguities, 1 and 3 float ones."""
-    if found.attmode in ("", "0"):
+    if parsed.attmode in ("", "0"):
         return Rejection.NO_HEADING
-    if found.attmode not in ("2", "4"):
+    if parsed.attmode not in ("2", "4"):
         return Rejection.NOT_FIXED
-    return _heading(time_of_day_ns(fields[1]), found.hdg, stddev=_accuracy(found.hdgstd))
+    return _heading(time_of_day_ns(fields[1]), parsed.hdg, stddev=_accuracy(parsed.hdgstd))
 
 
-def _hpr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _hpr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """Hemisphere: type N is by GNSS, G by the gyro alone."""
     if fields[2] == "":
         return Rejection.NO_HEADING
@@ -327,7 +328,7 @@ def _hpr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     return _heading(time_of_day_ns(fields[1]), float(fields[2]))
 
 
-def _ksxt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+def _ksxt(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """Unicore: heading quality 3 is fixed, 0 none; a date precedes the time."""
     if fields[10] in ("", "0"):
         return Rejection.NO_HEADING
@@ -378,11 +379,11 @@ def _number(value: Any) -> float:
 
 def _angle(text: str, letter: str, letters: str, limit: float) -> float:
     """Degrees of dddmm.m, positive for the first of ``letters``; nan if out of range."""
-    found = _ANGLE.fullmatch(text)
-    if found is None or len(letter) != 1 or letter not in letters:
+    match = _ANGLE.fullmatch(text)
+    if match is None or len(letter) != 1 or letter not in letters:
         raise ValueError(text)
-    whole, minutes = divmod(int(found[1]), 100)
-    degrees = whole + float(f"{minutes}.{found[2] or 0}") / 60.0
+    whole, minutes = divmod(int(match[1]), 100)
+    degrees = whole + float(f"{minutes}.{match[2] or 0}") / 60.0
     side = 1.0 if letter == letters[0] else -1.0
     return side * degrees if minutes < 60 and degrees <= limit else math.nan
 
@@ -395,11 +396,11 @@ def time_of_day_ns(text: str) -> int | None:
     """
     if text == "":
         return None
-    found = _TIME.fullmatch(text)
-    if found is None:
+    match = _TIME.fullmatch(text)
+    if match is None:
         raise ValueError(text)
-    hours, minutes, seconds = int(found[1]) // 10000, int(found[1]) // 100 % 100, int(found[1]) % 100
+    hours, minutes, seconds = int(match[1]) // 10000, int(match[1]) // 100 % 100, int(match[1]) % 100
     if hours > 23 or minutes > 59 or seconds > 60:
         raise ValueError(text)
-    fraction_ns = int((found[2] or "")[:9].ljust(9, "0"))
+    fraction_ns = int((match[2] or "")[:9].ljust(9, "0"))
     return None if seconds == 60 else ((hours * 60 + minutes) * 60 + seconds) * _NS_PER_S + fraction_ns

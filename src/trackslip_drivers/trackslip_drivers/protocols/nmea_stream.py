@@ -80,8 +80,8 @@ class NmeaStream:
 
     def __init__(self, p: NmeaParameters, tally: Tally, utc: Callable[[int], int] | None = None) -> None:
         self.tally = tally
-        self.others = 0  # sentences of unused kinds
-        self.binary = 0  # bytes between sentences
+        self.unused_sentences = 0  # of unused kinds
+        self.bytes_between_sentences = 0
         self.latency_ns = 0  # from the latest epoch to the first byte of its sentence
         self._p = p
         self._latency_ns = round(p.latency * 1e9)
@@ -154,7 +154,7 @@ class NmeaStream:
         if frame.kind in _REASONS:
             self.tally.add(FIX, _REASONS[frame.kind])
         else:
-            self.binary += len(frame.content)
+            self.bytes_between_sentences += len(frame.content)
         return []
 
     def _note_kind(self, kind: str, ended_ns: int) -> None:
@@ -202,9 +202,11 @@ class NmeaStream:
         east, north, up = stddevs
         kind = CovarianceType.UNKNOWN if math.isnan(east) else CovarianceType.DIAGONAL_KNOWN
         up = 2.0 * max(east, north) if math.isnan(up) else up
-        known = (east**2, north**2, up**2) if kind is CovarianceType.DIAGONAL_KNOWN else (0.0, 0.0, 0.0)
+        variances = (east**2, north**2, up**2) if kind is CovarianceType.DIAGONAL_KNOWN else (0.0, 0.0, 0.0)
         latitude, longitude, altitude = place
-        return [FixSample(stamp_ns, latitude, longitude, altitude, STATUS_OF_QUALITY[quality], known, kind)]
+        return [
+            FixSample(stamp_ns, latitude, longitude, altitude, STATUS_OF_QUALITY[quality], variances, kind)
+        ]
 
     def _on_sentence(self, sentence: Sentence | Rejection, frame: Frame) -> list[Sample]:
         if isinstance(sentence, Rejection):
@@ -220,7 +222,7 @@ class NmeaStream:
             self.tally.add(_TOPICS.get(kind, FIX), reading)
             return []
         if reading is None:
-            self.others += 1
+            self.unused_sentences += 1
             return []
         return self._on_reading(reading, talker + kind, frame.begun_ns)
 

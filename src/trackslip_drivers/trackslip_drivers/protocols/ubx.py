@@ -85,75 +85,78 @@ def decode(frame: bytes) -> Reading | Rejection | None:
     if not kind:
         return None
     try:
-        found = UBXReader.parse(frame)
-        return _DECODERS[kind](found)
+        return _DECODERS[kind](UBXReader.parse(frame))
     except Exception:  # noqa: BLE001 (whatever the library raises of a message of the wrong length)
         return Rejection.MALFORMED
 
 
-def _pvt(found: Any) -> Reading | Rejection:
-    if not found.gnssFixOk or found.fixType not in (_TWO_D, _THREE_D, _COMBINED):
-        return Rejection.DEAD_RECKONING if found.fixType == _DEAD_RECKONING else Rejection.NO_FIX
-    if found.invalidLlh:
+def _pvt(message: Any) -> Reading | Rejection:
+    if not message.gnssFixOk or message.fixType not in (_TWO_D, _THREE_D, _COMBINED):
+        return Rejection.DEAD_RECKONING if message.fixType == _DEAD_RECKONING else Rejection.NO_FIX
+    if message.invalidLlh:
         return Rejection.NO_FIX
-    quality = {_FIXED_AMBIGUITIES: RTK_FIXED, 1: RTK_FLOAT}.get(found.carrSoln, 2 if found.diffSoln else 1)
-    altitude = math.nan if found.fixType == _TWO_D else found.height * _MM
-    if (rejection := _position_rejection(found, altitude)) is not None:
+    quality = {_FIXED_AMBIGUITIES: RTK_FIXED, 1: RTK_FLOAT}.get(
+        message.carrSoln, 2 if message.diffSoln else 1
+    )
+    altitude = math.nan if message.fixType == _TWO_D else message.height * _MM
+    if (rejection := _position_rejection(message, altitude)) is not None:
         return rejection
-    place = found.lat, found.lon, altitude
-    return Pvt(_time_ns(found.iTOW), *place, quality, _accuracy(found), _velocity(found))
+    place = message.lat, message.lon, altitude
+    return Pvt(_time_ns(message.iTOW), *place, quality, _accuracy(message), _velocity(message))
 
 
-def _velocity(found: Any) -> Velocity | Rejection:
+def _velocity(message: Any) -> Velocity | Rejection:
     """The velocity; an accuracy of 0 means unknown."""
-    east, north, stddev = found.velE * _MM, found.velN * _MM, found.sAcc * _MM
+    east, north, stddev = message.velE * _MM, message.velN * _MM, message.sAcc * _MM
     if math.hypot(east, north) >= _MAX_SPEED or stddev >= _MAX_SPEED_STDDEV:
         return Rejection.OUT_OF_RANGE
-    return Velocity(_time_ns(found.iTOW), east, north, stddev)
+    return Velocity(_time_ns(message.iTOW), east, north, stddev)
 
 
-def _fine_position(found: Any) -> Reading | Rejection:
-    if found.invalidLlh:
+def _fine_position(message: Any) -> Reading | Rejection:
+    if message.invalidLlh:
         return Rejection.NO_FIX
-    altitude = found.height * _MM
-    rejection = _position_rejection(found, altitude)
-    return rejection or FinePosition(_time_ns(found.iTOW), found.lat, found.lon, altitude, _accuracy(found))
+    altitude = message.height * _MM
+    rejection = _position_rejection(message, altitude)
+    return rejection or FinePosition(
+        _time_ns(message.iTOW), message.lat, message.lon, altitude, _accuracy(message)
+    )
 
 
-def _covariance(found: Any) -> Reading | Rejection:
-    if not found.posCovValid:
+def _covariance(message: Any) -> Reading | Rejection:
+    if not message.posCovValid:
         return Rejection.NO_FIX
-    variances = (found.posCovEE, found.posCovNN, found.posCovDD)
+    variances = (message.posCovEE, message.posCovNN, message.posCovDD)
     if not all(0.0 < variance < _MAX_STDDEV**2 for variance in variances):
         return Rejection.OUT_OF_RANGE
     east, north, up = map(math.sqrt, variances)
-    return Accuracy(_time_ns(found.iTOW), (east, north, up))
+    return Accuracy(_time_ns(message.iTOW), (east, north, up))
 
 
-def _moving_base_heading(found: Any) -> Reading | Rejection:
-    if not found.gnssFixOK:
+def _moving_base_heading(message: Any) -> Reading | Rejection:
+    if not message.gnssFixOK:
         return Rejection.NO_FIX
-    if not (found.relPosValid and getattr(found, "relPosHeadingValid", 0)):
+    if not (message.relPosValid and getattr(message, "relPosHeadingValid", 0)):
         return Rejection.NO_HEADING
-    if not found.isMoving:
+    if not message.isMoving:
         return Rejection.NO_PAIR
-    if found.carrSoln != _FIXED_AMBIGUITIES:
+    if message.carrSoln != _FIXED_AMBIGUITIES:
         return Rejection.NOT_FIXED
-    if not 0.0 <= found.relPosHeading <= 360.0:
+    if not 0.0 <= message.relPosHeading <= 360.0:
         return Rejection.OUT_OF_RANGE
-    stddev = math.radians(found.accHeading) if 0.0 < found.accHeading < 180.0 else 0.0
-    return Heading(_time_ns(found.iTOW), yaw_of_heading(found.relPosHeading), stddev)
+    stddev = math.radians(message.accHeading) if 0.0 < message.accHeading < 180.0 else 0.0
+    return Heading(_time_ns(message.iTOW), yaw_of_heading(message.relPosHeading), stddev)
 
 
-def _position_rejection(found: Any, altitude: float) -> Rejection | None:
-    in_range = abs(found.lat) <= 90.0 and abs(found.lon) <= 180.0
+def _position_rejection(message: Any, altitude: float) -> Rejection | None:
+    in_range = abs(message.lat) <= 90.0 and abs(message.lon) <= 180.0
     return None if in_range and not abs(altitude) > 1e5 else Rejection.OUT_OF_RANGE
 
 
-def _accuracy(found: Any) -> Stddevs:
+def _accuracy(message: Any) -> Stddevs:
     """(east, north, up): hAcc for each horizontal axis, which is conservative; 0 means unknown."""
     horizontal, up = (
-        value * _MM if 0.0 < value * _MM < _MAX_STDDEV else math.nan for value in (found.hAcc, found.vAcc)
+        value * _MM if 0.0 < value * _MM < _MAX_STDDEV else math.nan for value in (message.hAcc, message.vAcc)
     )
     return horizontal, horizontal, up
 

@@ -62,15 +62,14 @@ def read_credentials(path: Path) -> Credentials:
                 raise InputError(
                     f"{where}: mode {stat.S_IMODE(mode):04o}: others may read it; accepted: 0600 (chmod 600)"
                 )
-            lines = file.read(_LONGEST_FILE).decode("utf-8").split("\n")
+            lines = [line.rstrip("\r") for line in file.read(_LONGEST_FILE).decode("utf-8").split("\n")]
     except OSError as error:
         raise InputError(f"{where}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise InputError(f"{where}: no UTF-8; accepted: two lines, user and password") from None
-    found = [line.rstrip("\r") for line in lines]
-    if len(found) < 2 or not all(found[:2]) or any(found[2:]) or ":" in found[0]:
+    if len(lines) < 2 or not all(lines[:2]) or any(lines[2:]) or ":" in lines[0]:
         raise InputError(f"{where}: accepted: two lines, user (without ':') and password")
-    return Credentials(found[0], found[1])
+    return Credentials(lines[0], lines[1])
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,8 @@ class _Response(HTTPResponse):
             return "HTTP/1.0", 200, "OK"
         if line.startswith(b"SOURCETABLE"):
             return "HTTP/1.0", 404, "sourcetable"
-        found: tuple[str, int, str] = super()._read_status()  # type: ignore[misc]
-        return found
+        status: tuple[str, int, str] = super()._read_status()  # type: ignore[misc]
+        return status
 
 
 class NtripClient:
@@ -137,7 +136,7 @@ class NtripClient:
     Args:
         p: the caster.
         credentials: None: no authentication.
-        most_rate: capacity of the receiver's line, B/s.
+        max_rate: capacity of the receiver's line, B/s.
         on_message: called in the client's thread with each RTCM 3 message.
         gga: the receiver's position as a sentence, for position-dependent corrections; None: unknown.
     """
@@ -169,10 +168,10 @@ class NtripClient:
         """Stop; the shutdown of the socket ends a blocked read."""
         self._stopping.set()
         with self._lock:
-            line = self._socket
-        if line is not None:
+            sock = self._socket
+        if sock is not None:
             with suppress(OSError):
-                line.shutdown(socket.SHUT_RDWR)
+                sock.shutdown(socket.SHUT_RDWR)
 
     def state(self) -> CorrectionState:
         """The state of the corrections."""
@@ -205,13 +204,13 @@ class NtripClient:
         connection, response = self._make_connection(), None
         try:
             connection.connect()
-            line = connection.sock  # the connection drops it with the response
+            sock = connection.sock  # the connection drops it with the response
             with self._lock:
-                self._socket = line
+                self._socket = sock
             response = self._request_stream(connection, position)
             if position is not None:
-                line.sendall(position)
-            self._forward_messages(line, response)
+                sock.sendall(position)
+            self._forward_messages(sock, response)
         finally:
             with self._lock:
                 self._socket = None
@@ -259,27 +258,27 @@ class NtripClient:
             raise _Fault(f"answers {response.status}")
         return response
 
-    def _forward_messages(self, line: socket.socket, response: HTTPResponse) -> None:
-        splitter, receiver, other_bytes = FrameSplitter(0), _RateLimiter(self._max_rate), 0
+    def _forward_messages(self, sock: socket.socket, response: HTTPResponse) -> None:
+        splitter, limiter, other_bytes = FrameSplitter(0), _RateLimiter(self._max_rate), 0
         sent_s = time.monotonic()
         while not self._stopping.is_set():
             data = response.read1(_READ_SIZE)
             if not data:
                 raise _Fault("closed the connection")
             now_s = time.monotonic()
-            receiver.count_bytes(len(data), now_s)
+            limiter.count_bytes(len(data), now_s)
             other_bytes += len(data)
             for frame in splitter.feed(data, time.monotonic_ns()):
                 if frame.kind is Kind.RTCM:
                     other_bytes = 0
-                    is_sent = receiver.reserve(len(frame.content), now_s)
+                    is_sent = limiter.reserve(len(frame.content), now_s)
                     if is_sent:
                         self._on_message(frame.content)
                     self._count_message(len(frame.content), is_sent=is_sent)
             if other_bytes > _MAX_OTHER_BYTES:
                 raise _Fault("sends no RTCM 3; check ntrip.mountpoint")
             if 0.0 < self._p.gga_interval <= now_s - sent_s and (sentence := self._gga()) is not None:
-                line.sendall(sentence)
+                sock.sendall(sentence)
                 sent_s = now_s
 
     def _count_message(self, size: int, *, is_sent: bool) -> None:
