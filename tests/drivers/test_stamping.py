@@ -164,18 +164,18 @@ def test_stamp_outside_its_read_interval_is_replaced_by_now():
     assert clocks.time.steady_time(drifted_ns, between_ns) == clocks.steady_ns
 
 
-def test_data_count_as_delayed_until_a_held_up_reader_empties_the_port():
+def test_data_count_as_delayed_until_a_suspended_reader_empties_the_port():
     monitor = ReadMonitor(0)
     for step_ns in (10 * S, 10 * S + 90 * MS):  # duration of an opening; a wait without data
         monitor.record_step(step_ns)
     monitor.record_empty_port()
     assert monitor.emptied_ns == 10 * S + 90 * MS
-    assert not monitor.held_up
-    for found_ns in (12 * S, 12 * S + MS):
-        monitor.record_step(found_ns)
+    assert not monitor.was_suspended
+    for read_ns in (12 * S, 12 * S + MS):
+        monitor.record_step(read_ns)
         assert monitor.emptied_ns == 10 * S + 90 * MS
-        assert monitor.can_be_delayed(found_ns - MS, found_ns)  # apparently new data
-        assert not monitor.can_be_delayed(found_ns - S, found_ns)  # data with an arrival time of their own
+        assert monitor.can_be_delayed(read_ns - MS, read_ns)  # apparently new data
+        assert not monitor.can_be_delayed(read_ns - S, read_ns)  # data with an arrival time of their own
     monitor.record_empty_port()
     assert not monitor.can_be_delayed(12 * S, 12 * S + MS)
 

@@ -163,28 +163,28 @@ class ReadMonitor:
 
     Attributes:
         emptied_ns: steady time at which the port was empty.
-        held_up: data read now may be late by an unknown time, unless they have their own stamp.
+        was_suspended: data read now may be late by an unknown time, unless they have their own stamp.
     """
 
     def __init__(self, opening_ns: int) -> None:
         self.emptied_ns = opening_ns
-        self.held_up = False
+        self.was_suspended = False
         self._step_ns: int | None = None
 
     def record_step(self, now_ns: int) -> None:
         """Register that the port is about to be read, or has been."""
         if self._step_ns is not None:
-            self.held_up |= now_ns - self._step_ns >= _SUSPENSION_NS
+            self.was_suspended |= now_ns - self._step_ns >= _SUSPENSION_NS
         self._step_ns = now_ns
 
     def record_empty_port(self) -> None:
         """Register that the port was empty at the last step."""
         if self._step_ns is not None:
-            self.emptied_ns, self.held_up = self._step_ns, False
+            self.emptied_ns, self.was_suspended = self._step_ns, False
 
     def can_be_delayed(self, arrived_ns: int, now_ns: int) -> bool:
         """Whether data that seem to have arrived just before ``now_ns`` (both steady) may be late."""
-        return self.held_up and now_ns - arrived_ns < _PROMPTNESS_NS
+        return self.was_suspended and now_ns - arrived_ns < _PROMPTNESS_NS
 
 
 @dataclass

@@ -150,12 +150,12 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Connection, rate, age, rejections."""
         assert self._link is not None
         state, now_s = self._link.state(), time.monotonic()
-        if news := self.tally.new_counts():
-            often = max(news, key=lambda key: news[key])  # the latest would change at each report
-            self._rejected = (self.tally.detail_or_reason(often), now_s, _date(time.time()))
-        then_s, then = self._rate_start
-        if now_s - then_s >= _RATE_INTERVAL:
-            self._rate = (self._published - then) / (now_s - then_s)
+        if counts := self.tally.new_counts():
+            most_frequent = max(counts, key=lambda key: counts[key])  # the latest would change at each report
+            self._rejected = (self.tally.detail_or_reason(most_frequent), now_s, _date(time.time()))
+        start_s, start_count = self._rate_start
+        if now_s - start_s >= _RATE_INTERVAL:
+            self._rate = (self._published - start_count) / (now_s - start_s)
             self._rate_start = (now_s, self._published)
         values: dict[str, object] = {
             "published": self._published,
@@ -196,9 +196,9 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             return ERROR, f"{where}: not connected ({state.last_error}); {self.advice}"
         limit_s = _STALE_PERIODS * self.period
         if time.monotonic() - self._last_s <= limit_s:
-            latest, then_s, _ = self._rejected
-            is_recent = time.monotonic() - then_s < REPORT_TIME
-            return (WARN, f"running; some is rejected: {latest}") if is_recent else (OK, "running")
+            rejection, rejected_s, _ = self._rejected
+            is_recent = time.monotonic() - rejected_s < REPORT_TIME
+            return (WARN, f"running; some is rejected: {rejection}") if is_recent else (OK, "running")
         if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING_TIME:
             return WARN, f"{where}: opened, no data yet"
         dialogue = f" ({self.dialogue_state()})" if self.dialogue_state() else ""
@@ -209,10 +209,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         reason = self._rejected[0] or "no complete message yet"
         if reason in self.transient_reasons:
             return WARN, f"{where}: {reason}{dialogue}; {self.transient_reasons[reason]}"
-        what = f"{where}: {self.data_name} arrive, but none is usable: {reason}{dialogue}"
+        message = f"{where}: {self.data_name} arrive, but none is usable: {reason}{dialogue}"
         if time.monotonic() - self._last_s < limit_s + _SETTLING_TIME:
-            return WARN, what
-        return ERROR, f"{what}; check rate and format"
+            return WARN, message
+        return ERROR, f"{message}; check rate and format"
 
     def _publish_health_on_change(self) -> None:
         """Publish health at once if its level has changed."""

@@ -29,13 +29,13 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
         p = self.settings
         self._joints = JointMotion(p)
         self._received = self._published = 0
-        self._news = (0, 0)
+        self._reported = (0, 0)  # received and published, at the last report
         self._sprockets = self.advertise_packed(SPROCKETS, conversions.blank_joint_state(make, p.frame_id))
         self.subscribe(message_class(MESSAGES[p.message]), p.topic, self._on_message)
 
     def health(self) -> list[Health]:
         """Counts of messages received and published, and of rejections by reason."""
-        (received, published), self._news = self._news, (self._received, self._published)
+        (received, published), self._reported = self._reported, (self._received, self._published)
         rejected = {f"{source}: {why}": n for (source, why), n in sorted(self.tally.total.items())}
         values = {"received": self._received, "published": self._published, **rejected}
         if self._received == received:
@@ -46,12 +46,12 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
 
     def _on_message(self, message: Any) -> None:
         self._received += 1
-        found = self._sample(message)
-        if isinstance(found, Rejection):
-            self.tally.add(self.settings.topic, found)
+        sample = self._sample(message)
+        if isinstance(sample, Rejection):
+            self.tally.add(self.settings.topic, sample)
             return
         self._published += 1
-        conversions.fill_joint_state(self._sprockets.message, found)
+        conversions.fill_joint_state(self._sprockets.message, sample)
         self._sprockets.publish()
 
     def _sample(self, message: Any) -> SprocketSample | Rejection:

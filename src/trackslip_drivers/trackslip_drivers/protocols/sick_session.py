@@ -132,7 +132,7 @@ class SickSession:
         if self._backlog.is_backlog(self._transfer_ns(len(data)), arrival_ns):
             self.tally.add(_SOURCE, StampEvent.DELAYED, len(data))
             self._parser.discard_pending()
-            self._last_scan_ns = arrival_ns  # the host was held up, the scanner was not silent
+            self._last_scan_ns = arrival_ns  # the host was suspended, the scanner was not silent
             return []
         scans: list[Scan] = []
         for event in self._parser.feed(data, arrival_ns):
@@ -184,10 +184,10 @@ class SickSession:
         if not (yield from self._find_baud()):
             return SessionFault.NO_ANSWER
         if self.baud != self._requested_baud:
-            found = self.baud
+            old_baud = self.baud
             fault = yield from self._change_baud()
             if fault is SessionFault.BAUD:
-                self._count_rate_refusal(found)
+                self._count_rate_refusal(old_baud)
             if fault is not None:
                 return fault
         self._start_filter = self._make_start_filter()
@@ -203,10 +203,10 @@ class SickSession:
         The present rate comes first, then alternately another one and that of power-on. A scanner that has
         just started is thus found soon.
         """
-        slow = commands.POWER_ON_BAUD
-        rates = [slow] if self.baud == slow else [self.baud, slow]
+        power_on = commands.POWER_ON_BAUD
+        rates = [power_on] if self.baud == power_on else [self.baud, power_on]
         for baud in dict.fromkeys((self._parameters.serial_baud, *commands.BAUD_CODES)):
-            rates += [] if baud in rates else [baud, slow]
+            rates += [] if baud in rates else [baud, power_on]
         for baud in rates:
             self._set_host_baud(baud)
             answer = yield from self._request(commands.STOP)
@@ -236,12 +236,12 @@ class SickSession:
         yield from self._pause(self._parameters.baud_pause)
         return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.BAUD
 
-    def _count_rate_refusal(self, found: int) -> None:
-        """Count a refusal of the rate; after ``_MAX_REFUSALS``, request the next lower one (or ``found``)."""
+    def _count_rate_refusal(self, old_baud: int) -> None:
+        """Count a refusal of the rate; after ``_MAX_REFUSALS``, request the next lower, or ``old_baud``."""
         self._refusals += 1
         if self._refusals >= _MAX_REFUSALS:
             lower = [baud for baud in commands.BAUD_CODES if baud < self._requested_baud]
-            self._requested_baud, self._refusals = max(lower, default=found), 0
+            self._requested_baud, self._refusals = max(lower, default=old_baud), 0
 
     def _make_start_filter(self) -> PeriodicStamps | None:
         """Filter of the telegrams' starts, a turn apart, if the line keeps up with the mirror; else None.

@@ -88,7 +88,7 @@ class TelegramParser:
         self._buffer = bytearray()
         self._consumed = 0  # bytes of the stream before buffer[0]
         self._reads: deque[tuple[int, int]] = deque()  # (bytes of the stream up to its end, arrival_ns)
-        self._in_garbage = False  # within garbage
+        self._in_garbage = False
         self._last_arrival_ns: int | None = None
 
     @property
@@ -114,14 +114,14 @@ class TelegramParser:
         Empty data mean that a poll found none; after a silence this ends an incomplete telegram.
         """
         events: list[Telegram | Control] = []
-        silent = self._last_arrival_ns is None or arrival_ns - self._last_arrival_ns >= SILENCE_NS
+        was_silent = self._last_arrival_ns is None or arrival_ns - self._last_arrival_ns >= SILENCE_NS
         if data:
-            self._in_garbage &= not silent
+            self._in_garbage &= not was_silent
             self._last_arrival_ns = arrival_ns
             self._buffer += data
             self._reads.append((self._consumed + len(self._buffer), arrival_ns))
             self._parse_buffer(events)
-        elif silent:
+        elif was_silent:
             while self._buffer:
                 self._reject(TelegramFault.TRUNCATED)
                 self._reject(TelegramFault.GARBAGE_BYTE)
@@ -134,36 +134,36 @@ class TelegramParser:
         """Move all complete items from the buffer to the events."""
         at = 0
         while at < len(self._buffer):
-            found = self._parse_item(at)
-            if found is None:
+            item = self._parse_item(at)
+            if item is None:
                 break
-            if isinstance(found, TelegramFault):
-                if found is not TelegramFault.GARBAGE_BYTE:
-                    self._reject(found)
+            if isinstance(item, TelegramFault):
+                if item is not TelegramFault.GARBAGE_BYTE:
+                    self._reject(item)
                 self._reject(TelegramFault.GARBAGE_BYTE)
                 self._in_garbage = True
                 at += 1
             else:
-                events.append(found)
+                events.append(item)
                 self._in_garbage = False
-                at += len(found.payload) + _OVERHEAD if isinstance(found, Telegram) else 1
+                at += len(item.payload) + _OVERHEAD if isinstance(item, Telegram) else 1
         self._discard_bytes(at)
 
     def _parse_item(self, at: int) -> Telegram | Control | TelegramFault | None:
         """The item at an index of the buffer; None: it is incomplete."""
-        buffer, held = self._buffer, len(self._buffer) - at
+        buffer, available = self._buffer, len(self._buffer) - at
         if buffer[at] != STX:
             control = _CONTROLS.get(buffer[at])
             return control if control and not self._in_garbage else TelegramFault.GARBAGE_BYTE
-        if held >= 2 and buffer[at + 1] != self._address:
+        if available >= 2 and buffer[at + 1] != self._address:
             return TelegramFault.GARBAGE_BYTE
-        if held < _HEADER:
+        if available < _HEADER:
             return None
         length = int.from_bytes(buffer[at + 2 : at + _HEADER], "little")
         if not 0 < length <= MAX_PAYLOAD:
             return TelegramFault.BAD_LENGTH
         size = length + _OVERHEAD
-        if held < size:
+        if available < size:
             return None
         telegram = bytes(buffer[at : at + size])
         if sick_crc(telegram[:-2]) != int.from_bytes(telegram[-2:], "little"):

@@ -73,11 +73,11 @@ class JointMotion:
         self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float], index: Mapping[str, int]
     ) -> Sequence[float]:
         """The positions; those of the sides' joints without the jumps of a wrap."""
-        found = list(positions)
-        for name, turns in self._turns.items() if found else ():
+        continuous = list(positions)
+        for name, turns in self._turns.items() if continuous else ():
             k = index[name]
-            found[k] = turns.unwrap(stamp_ns, found[k], velocities[k] if velocities else math.nan)
-        return found
+            continuous[k] = turns.unwrap(stamp_ns, continuous[k], velocities[k] if velocities else math.nan)
+        return continuous
 
     def _side_means(self, values: Sequence[float], index: Mapping[str, int]) -> tuple[float, float]:
         if not values:

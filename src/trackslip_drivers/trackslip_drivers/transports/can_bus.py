@@ -63,12 +63,12 @@ class CanBus:
         Raises:
             can.CanError: the bus did not accept the frame.
         """
-        name, payload = data
+        identifier, payload = data
         message = can.Message(
-            arbitration_id=name & ~(ERROR_FLAG | STANDARD_FLAG),
+            arbitration_id=identifier & ~(ERROR_FLAG | STANDARD_FLAG),
             data=payload,
-            is_extended_id=not name & STANDARD_FLAG,
-            is_error_frame=bool(name & ERROR_FLAG),
+            is_extended_id=not identifier & STANDARD_FLAG,
+            is_error_frame=bool(identifier & ERROR_FLAG),
             is_fd=len(payload) > _CLASSIC_BYTES,
         )
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
@@ -91,10 +91,10 @@ class CanBus:
 def _bind_to_loopback(descriptor: int, group: str) -> None:
     """Bind the socket to the loopback device: no host of the network can send frames of the machine."""
     with socket.socket(fileno=os.dup(descriptor)) as shared:
-        home = socket.inet_aton("127.0.0.1")
+        loopback = socket.inet_aton("127.0.0.1")
         shared.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
-        shared.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, home)
-        shared.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + home)
+        shared.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+        shared.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + loopback)
 
 
 def flagged_id(message: can.Message) -> int:
