@@ -27,7 +27,7 @@ S = 1_000_000_000
 
 def over_virtual_bus(driver, sent, channel):
     """Samples by type that the driver makes of these frames, sent through python-can's virtual bus."""
-    found = defaultdict(list)
+    samples = defaultdict(list)
     port = CanBus("virtual", channel, {})
     with can.Bus(channel, interface="virtual", preserve_timestamps=True) as peer:
         for stamp_ns, arbitration_id, data in sent:
@@ -37,44 +37,44 @@ def over_virtual_bus(driver, sent, channel):
             peer.send(can.Message(stamp, identifier, is_extended_id=is_extended, data=data))
             for frame, arrival_ns in port.read():
                 for sample in driver.receive(*frame, arrival_ns):
-                    found[type(sample)].append(sample)
+                    samples[type(sample)].append(sample)
     port.close()
-    return found
+    return samples
 
 
 def test_a_bus_of_another_shape_by_its_roles_file(tmp_path):
     driver = machine(tmp_path)
-    found = over_virtual_bus(driver, unseen_bus.frames(S, 11 * S), "unseen")
+    by_type = over_virtual_bus(driver, unseen_bus.frames(S, 11 * S), "unseen")
     assert set(driver.tally.total.values()) == {1}  # one count of each kind, listed below
     assert driver.decoder.frames_without_role == 200  # frames of the radio
-    assert {kind: len(samples) for kind, samples in found.items()} == {
+    assert {kind: len(samples) for kind, samples in by_type.items()} == {
         SprocketSample: 500,
         HydraulicsSample: 199,  # the first pressures arrive before any spool positions
         SwingSample: 199,  # the first angle has no velocity
     }
-    for sample in found[SprocketSample]:
+    for sample in by_type[SprocketSample]:
         assert (sample.left_velocity, sample.right_velocity) == pytest.approx(unseen_bus.SPEEDS, abs=2e-3)
         assert math.isnan(sample.left_position)
-    for sample in found[HydraulicsSample]:
+    for sample in by_type[HydraulicsSample]:
         assert (sample.left_pressure, sample.right_pressure) == pytest.approx(unseen_bus.PRESSURES, abs=1e4)
         assert sample.supply_pressure == pytest.approx(unseen_bus.SUPPLY)
         assert (sample.left_spool, sample.right_spool) == pytest.approx(unseen_bus.SPOOLS)
-    for sample in found[SwingSample][5:]:
+    for sample in by_type[SwingSample][5:]:
         error = math.remainder(sample.position - unseen_bus.swing_at(sample.stamp_ns - S), 2.0 * math.pi)
         assert abs(error) < math.radians(0.06)
         assert sample.velocity == pytest.approx(unseen_bus.SWING_RATE, abs=0.02)
-    intervals = np.diff([sample.stamp_ns for sample in found[SprocketSample]])
+    intervals = np.diff([sample.stamp_ns for sample in by_type[SprocketSample]])
     assert intervals == pytest.approx(unseen_bus.FLOW_NS, abs=1000)
     assert driver.period == pytest.approx(0.02, rel=1e-3)  # measured: the DBC states no cycle
 
 
 def test_messages_of_that_bus(tmp_path):
     driver = machine(tmp_path)
-    found = over_virtual_bus(driver, unseen_bus.frames(S, 2 * S), "messages")
-    swing = conversions.fill_swing(conversions.blank_swing(make, "base_link"), found[SwingSample][-1])
+    by_type = over_virtual_bus(driver, unseen_bus.frames(S, 2 * S), "messages")
+    swing = conversions.fill_swing(conversions.blank_swing(make, "base_link"), by_type[SwingSample][-1])
     assert (list(swing.name), len(swing.position), len(swing.velocity)) == (["swing"], 1, 1)
     hydraulics = conversions.fill_track_hydraulics(
-        conversions.blank_track_hydraulics(make, "base_link"), found[HydraulicsSample][-1]
+        conversions.blank_track_hydraulics(make, "base_link"), by_type[HydraulicsSample][-1]
     )
     assert hydraulics.left_pressure == pytest.approx(78.84e5, abs=1e4)  # in Pa, not in the DBC's unit
 
@@ -257,15 +257,15 @@ def test_j1939_by_parameter_group_and_sender(tmp_path):
     driver = machine(tmp_path, J1939_ROLES, J1939)
     database = cantools.database.load_string(J1939, "dbc")
     group = database.messages[0].frame_id & 0x00FFFF00
-    found = []
+    received = []
     for k in range(20):
         for source, rpm in ((0x21, 400.0), (0x22, -300.0), (0x23, 4000.0)):
             values = {"Speed": rpm, "Page": k % 2, **({"Pressure": 18600.0} if k % 2 else {"Kind": 0})}
             data = database.messages[0].encode(values)
             priority = 3 + k % 4
-            found += driver.receive(priority << 26 | group | source, data, k * 20_000_000)
-    sprockets = [sample for sample in found if isinstance(sample, SprocketSample)]
-    hydraulics = [sample for sample in found if isinstance(sample, HydraulicsSample)]
+            received += driver.receive(priority << 26 | group | source, data, k * 20_000_000)
+    sprockets = [sample for sample in received if isinstance(sample, SprocketSample)]
+    hydraulics = [sample for sample in received if isinstance(sample, HydraulicsSample)]
     assert (len(sprockets), len(hydraulics)) == (20, 10)
     expected = 2.0 * math.pi / 60.0 / 25.26 * np.array((400.0, 300.0))
     assert sprockets[-1][3:] == pytest.approx(expected)

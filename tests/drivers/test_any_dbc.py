@@ -48,10 +48,10 @@ def test_a_role_in_a_frame_that_cannot_be_read_names_the_frame(tmp_path):
     assert "more than 11 bits" in text
 
 
-@pytest.mark.parametrize("given", ["[0.0|0.0]", "[0|0]", "[0.00|0]", "[0E0|-0.0]"])
-def test_range_of_zeros_means_no_range(tmp_path, given):
+@pytest.mark.parametrize("zeros", ["[0.0|0.0]", "[0|0]", "[0.00|0]", "[0E0|-0.0]"])
+def test_range_of_zeros_means_no_range(tmp_path, zeros):
     assert "[-300|300]" in unseen_bus.DBC
-    driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("[-300|300]", given))
+    driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("[-300|300]", zeros))
     assert len(sprockets_of(driver)) == 50
     assert "TravelFlow" not in driver.tally.by_source()
 
@@ -112,9 +112,9 @@ def test_another_source_address_is_named_and_j1939_accepts_it(tmp_path):
         word in driver.decoder.no_role_message() for word in ("TravelFlow", "0x27", "0xFE", "j1939: true")
     )
     roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
-    reported = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
-    assert len(sprockets_of(reported, from_source(0x27))) == 50
-    assert reported.decoder.other_source_message() == ""
+    accepting = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
+    assert len(sprockets_of(accepting, from_source(0x27))) == 50
+    assert accepting.decoder.other_source_message() == ""
 
 
 def test_ids_of_a_bus_without_roles_are_named(tmp_path):
@@ -147,9 +147,9 @@ PILOT_ROLES = """roles:
 def test_pilot_pressures_are_spools(tmp_path, pilots, spools):
     driver = machine(tmp_path, PILOT_ROLES, unseen_bus.DBC + PILOTS)
     data = bytes(round(value / 0.02) for value in pilots)
-    found = [driver.receive(1040 | STANDARD_FLAG, data, S + k * S // 50) for k in range(10)]
-    assert found[-1][0].left_spool == pytest.approx(spools[0])
-    assert found[-1][0].right_spool == pytest.approx(spools[1])
+    samples = [driver.receive(1040 | STANDARD_FLAG, data, S + k * S // 50) for k in range(10)]
+    assert samples[-1][0].left_spool == pytest.approx(spools[0])
+    assert samples[-1][0].right_spool == pytest.approx(spools[1])
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def test_two_frames_of_one_name_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
-def test_degree_sign_in_utf_8_is_read(tmp_path, encoding):
+def test_degree_sign_is_read_in_any_encoding(tmp_path, encoding):
     dbc, roles = unseen_bus.write(tmp_path, dbc=unseen_bus.DBC.replace('"deg"', '"°"'))
     dbc.write_text(dbc.read_text(encoding="utf-8").replace('"l/min"', '"m³/s"'), encoding=encoding)
     frames = FrameSet(dbc, roles, PARAMETERS.vehicle)
@@ -218,27 +218,27 @@ def test_swing_without_a_range_is_continuous_over_its_wrap(tmp_path, signal, uni
     assert swing.split("|")[0] in dbc
     driver = machine(tmp_path, "roles: {swing: Upper.Swing}\n", dbc)
     message = cantools.database.load_string(dbc, "dbc").get_message_by_name("Upper")
-    step, rate, found = message.get_signal_by_name("Swing").scale, 0.7, []
+    step, rate, samples = message.get_signal_by_name("Swing").scale, 0.7, []
     degrees = 1.0 if unit == "rad" else 180.0 / math.pi
     for k in range(600):
         t = 0.05 * k
         angle = (math.degrees(rate * t) - low) % 360.0 + low
         raw = round(math.radians(angle) * degrees / step) if step != 0.0055 else round(angle * 65536 / 360)
         data = (raw % 65536).to_bytes(2, "big") + bytes(6)
-        found += driver.receive(message.frame_id | STANDARD_FLAG, data, round((1.0 + t) * S))
-    assert len(found) == 599
+        samples += driver.receive(message.frame_id | STANDARD_FLAG, data, round((1.0 + t) * S))
+    assert len(samples) == 599
     assert driver.tally.total == {("swing_encoder", "first reading"): 1}
-    assert [one.velocity for one in found[5:]] == pytest.approx([rate] * 594, abs=0.03)
+    assert [sample.velocity for sample in samples[5:]] == pytest.approx([rate] * 594, abs=0.03)
     last = math.remainder(rate * 0.05 * 599, 2.0 * math.pi)
-    assert math.remainder(found[-1].position - last, 2.0 * math.pi) == pytest.approx(0.0, abs=0.01)
+    assert math.remainder(samples[-1].position - last, 2.0 * math.pi) == pytest.approx(0.0, abs=0.01)
 
 
 def test_the_example_for_pilot_pressures_binds(tmp_path):
     """The roles file fits any DBC that has its signals; the maker's own DBC is not shipped."""
     roles = config_file("can_roles_zx200.yaml")
     entries = yaml.safe_load(roles.read_text(encoding="utf-8"))["roles"]
-    given = [e if isinstance(e, dict) else {"signal": e} for e in entries.values()]
-    names = [entry[key] for entry in given for key in ("signal", "minus") if key in entry]
+    sections = [e if isinstance(e, dict) else {"signal": e} for e in entries.values()]
+    names = [entry[key] for entry in sections for key in ("signal", "minus") if key in entry]
     units = {"flow_rate": "L/min", "pressure": "MPa", "pilot_prs": "MPa", "angle": "rad"}
     frames: dict[str, list[str]] = {}
     for name in names:

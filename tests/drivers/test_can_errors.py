@@ -27,7 +27,7 @@ def test_state_of_the_bus(arbitration_id, data, state):
     assert bus_state(arbitration_id | ERROR_FLAG, data) is state
 
 
-def test_bus_off_is_handed_on_and_then_is_an_error():
+def test_bus_off_is_delivered_and_then_is_an_error():
     device, port = CanBus("virtual", "off", {}), CanBus("virtual", "off", {})
     try:
         device.write((0x0CFF1080, b"12345678"))

@@ -73,12 +73,12 @@ def test_exact_bytes(frames, decoder, name, values, alive, expected_id, expected
     assert dict(frame.values) == pytest.approx(values)
 
 
-def test_encoding_refuses_what_the_contract_cannot_hold(frames):
+def test_encoding_refuses_a_value_outside_the_range_of_the_dbc(frames):
     with pytest.raises(EncodeError):
         frames.encode(PRESSURES, {**PRESSURE, "left_pressure": 26e6}, 0)
 
 
-def test_cycle_comes_from_the_contract(frames):
+def test_cycle_is_that_of_the_dbc(frames):
     assert {codec.nominal_ns for codec in frames.codecs.values()} == {CYCLE_NS}
 
 
@@ -104,7 +104,7 @@ def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
     assert tally.total[ENCODERS, "checksum"] == 8 * 255
 
 
-def test_raw_value_outside_the_contract(decoder, tally):
+def test_raw_value_outside_the_range_of_the_dbc_is_rejected(decoder, tally):
     frame_id, payload = 0x0CFF1280, bytes.fromhex("00 80 00 00 00 00 00 00")  # -32768 kPa: "not available"
     assert (
         decoder.decode(frame_id, FRAMES.codecs[PRESSURES].replace_checksum(frame_id, payload), 0)
@@ -115,8 +115,8 @@ def test_raw_value_outside_the_contract(decoder, tally):
 
 def receive(decoder, frames, alive, cycle):
     """Elapsed cycles before each frame whose time is settled by this call."""
-    found = decoder.decode(*frames.encode(SPOOLS, SPOOL, alive), round(cycle * CYCLE_NS))
-    return [frame.elapsed_ns / CYCLE_NS for frame in found]
+    timed = decoder.decode(*frames.encode(SPOOLS, SPOOL, alive), round(cycle * CYCLE_NS))
+    return [frame.elapsed_ns / CYCLE_NS for frame in timed]
 
 
 def test_stuck_counter_stays_rejected(decoder, frames, tally):
@@ -135,21 +135,21 @@ def test_stuck_counter_stays_rejected(decoder, frames, tally):
 def test_lost_frames_are_counted_and_the_next_is_accepted(decoder, frames, tally, lost, late):
     for n in range(3):
         receive(decoder, frames, 7 + n, n - 2)
-    found = []
+    elapsed = []
     for n in range(lost + 1, lost + 4):
-        found += receive(decoder, frames, 9 + n, round(n + late))
-    assert found == [lost + 1, 1, 1]
+        elapsed += receive(decoder, frames, 9 + n, round(n + late))
+    assert elapsed == [lost + 1, 1, 1]
     assert tally.total[SPOOLS, "lost"] == lost
 
 
 @pytest.mark.parametrize("stall", [5, 11, 15, 16, 17, 40])
 def test_sender_that_stalls_and_catches_up_loses_nothing(decoder, frames, tally, stall):
-    found = []
+    elapsed = []
     for alive in range(4):
         receive(decoder, frames, alive, alive - 3)
     for alive in range(4, stall + 14):
-        found += receive(decoder, frames, alive, max(alive - 3, stall + 0.1 * (alive - 4)))
-    assert found == [1] * (stall + 10)
+        elapsed += receive(decoder, frames, alive, max(alive - 3, stall + 0.1 * (alive - 4)))
+    assert elapsed == [1] * (stall + 10)
     assert not tally.total
 
 
@@ -233,7 +233,7 @@ def test_pressures_without_recent_spools(excavator, frames, tally):
         ('"Pa"', '"rpm"', "'rpm' is a unit of angular speed; accepted: Pa, hPa"),
     ],
 )
-def test_broken_contract_is_refused_in_one_line(tmp_path, old, new, message):
+def test_broken_dbc_is_refused_in_one_line(tmp_path, old, new, message):
     text = config_file("excavator.dbc").read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "broken.dbc"
@@ -250,7 +250,7 @@ def test_dbc_larger_than_8_mb_is_refused(tmp_path):
         frame_set(tmp_path / "large.dbc")
 
 
-def test_missing_contract():
+def test_missing_dbc_is_refused():
     with pytest.raises(InputError, match="not a usable DBC"):
         frame_set(config_file("can_driver.yaml").with_name("none.dbc"))
 
@@ -282,12 +282,12 @@ def test_payloads_are_those_of_cantools(changes, tmp_path):
             frame_id, payload = frames.encode(name, values, alive)
             theirs = message.encode({**values, "alive_counter": alive % 16, "checksum": 0})
             assert payload == frames.codecs[name].replace_checksum(frame_id, theirs)
-            found = frames.codecs[name].unpack(
+            unpacked = frames.codecs[name].unpack(
                 *(int.from_bytes(payload, order) for order in ("little", "big"))
             )
             scaling = name != ENCODERS  # positions are raw counts
             decoded = message.decode_simple(payload, scaling=scaling)
-            assert found == {k: v for k, v in decoded.items() if k in values}
+            assert unpacked == {k: v for k, v in decoded.items() if k in values}
 
 
 def test_a_floating_point_signal_is_read(tmp_path, tally):
@@ -309,8 +309,8 @@ def test_a_floating_point_signal_is_read(tmp_path, tally):
         values = {"left_pressure": 0, "right_pressure": 0, "alive_counter": 0, "checksum": 0}
         payload = message.encode({**values, "supply_pressure": raw}, strict=False)
         sent = message.frame_id, frames.codecs[PRESSURES].replace_checksum(message.frame_id, payload)
-        found: Any = FrameDecoder(frames, tally).decode(*sent, 0)
-        assert found is outcome or found[0].values["supply_pressure"] == raw
+        decoded: Any = FrameDecoder(frames, tally).decode(*sent, 0)
+        assert decoded is outcome or decoded[0].values["supply_pressure"] == raw
 
 
 def test_the_checksum_is_crc_12_gsm():

@@ -42,8 +42,8 @@ seeded = settings(derandomize=True, max_examples=200, deadline=None)
 @given(READINGS, st.integers(0, 1000))
 def test_round_trip_within_half_the_resolution(reading, alive):
     name, values, half_step = reading
-    found: Any = FrameDecoder(FRAMES, Tally()).decode(*FRAMES.encode(name, values, alive), 0)
-    (frame,) = found
+    decoded: Any = FrameDecoder(FRAMES, Tally()).decode(*FRAMES.encode(name, values, alive), 0)
+    (frame,) = decoded
     assert frame.values == pytest.approx(values, abs=half_step * 1.000001)
 
 

@@ -17,11 +17,11 @@ SENDER = ("sprockets", 0)  # name and address
 
 def measured(nominal_ms, arrivals_ms):
     meter = CycleMeter(nominal_ms * MS)
-    found = []
+    cycles = []
     for interval in np.diff(np.round(np.asarray(arrivals_ms) * MS).astype(int)):
         meter.add(int(interval), 1)
-        found.append(meter.cycle_ns)
-    return found
+        cycles.append(meter.cycle_ns)
+    return cycles
 
 
 def busy(cycle_ms, count, seed):
@@ -36,17 +36,17 @@ def busy(cycle_ms, count, seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_busy_host_does_not_change_the_cycle_of_the_dbc(seed):
     """A late frame and the burst after it average out."""
-    found = measured(10.0, busy(10.0, 3000, seed))
-    assert found[-1] == 10.0 * MS
-    assert {cycle for cycle in found if cycle is not None} == {10.0 * MS}
+    cycles = measured(10.0, busy(10.0, 3000, seed))
+    assert cycles[-1] == 10.0 * MS
+    assert {cycle for cycle in cycles if cycle is not None} == {10.0 * MS}
 
 
 @pytest.mark.parametrize("nominal_ms", [0.0, 10.0, 40.0])
 def test_another_cycle_is_measured(nominal_ms):
-    found = measured(nominal_ms, busy(20.0, 2000, 7))
-    assert found[25:].count(None) == 0  # after half a second
-    assert found[-1] == pytest.approx(20.0 * MS, rel=0.005)
-    assert found[25] == pytest.approx(20.0 * MS, rel=0.2)
+    cycles = measured(nominal_ms, busy(20.0, 2000, 7))
+    assert cycles[25:].count(None) == 0  # after half a second
+    assert cycles[-1] == pytest.approx(20.0 * MS, rel=0.005)
+    assert cycles[25] == pytest.approx(20.0 * MS, rel=0.2)
 
 
 def test_a_sender_that_stalls_without_catching_up_keeps_its_cycle():
@@ -58,10 +58,10 @@ def test_a_sender_that_stalls_without_catching_up_keeps_its_cycle():
 
 def test_a_sender_that_changes_its_cycle_is_followed():
     times = np.concatenate((np.arange(200) * 10.0, 2000.0 + np.arange(300) * 50.0))
-    found = measured(10.0, times)
-    assert found[190] == 10.0 * MS
-    assert found[-1] == pytest.approx(50.0 * MS)
-    assert found.index(None, 200) < 225  # within a second or so
+    cycles = measured(10.0, times)
+    assert cycles[190] == 10.0 * MS
+    assert cycles[-1] == pytest.approx(50.0 * MS)
+    assert cycles.index(None, 200) < 225  # within a second or so
 
 
 def test_cycle_is_measured_where_no_block_equals_the_median():
@@ -88,9 +88,9 @@ def test_burst_at_the_start_is_not_taken_for_the_cycle(nominal_ms, at_once):
     timing, lost = counted(nominal_ms * MS)
     arrivals = np.arange(at_once + 600) * 10 * MS
     arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
-    placed = [timing.add(k % 16, int(at), k) for k, at in enumerate(arrivals)]
+    timed = [timing.add(k % 16, int(at), k) for k, at in enumerate(arrivals)]
     assert lost == {}
-    assert [p.values for each in placed for p in each] == list(range(len(arrivals)))
+    assert [frame.values for each in timed for frame in each] == list(range(len(arrivals)))
     assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
 
 
@@ -105,24 +105,24 @@ def test_wrong_cycle_is_corrected():
     assert lost[TimingEvent.LOST] < 110 * 256
 
 
-def standing_still(count, seed, apart_ms, elapsed_ms, stood_ms):
-    """Arrival times, ns, of a cycle of 10 ms on a host that repeatedly stalls for 100 to ``stood_ms``.
+def stalling_host(count, seed, interval_ms, longest_run_ms, longest_stall_ms):
+    """Arrival times, ns, of a 10 ms cycle on a host that repeatedly stalls for 100 to ``longest_stall_ms``.
 
-    Between stalls it runs for 20 to ``elapsed_ms`` and reads the backlog ``apart_ms`` apart.
+    Between stalls it runs for 20 to ``longest_run_ms`` and reads the backlog at ``interval_ms``.
     """
     rng = np.random.default_rng(seed)
-    arrivals, now, stops = [], 0.0, 1000.0
+    arrivals, now, next_stall = [], 0.0, 1000.0
     for number in range(count):
-        now = max(10.0 * number, now + apart_ms * rng.uniform(0.5, 1.5))
-        while now > stops:
-            now = stops + rng.uniform(100.0, stood_ms)
-            stops = now + rng.uniform(20.0, elapsed_ms)
+        now = max(10.0 * number, now + interval_ms * rng.uniform(0.5, 1.5))
+        while now > next_stall:
+            now = next_stall + rng.uniform(100.0, longest_stall_ms)
+            next_stall = now + rng.uniform(20.0, longest_run_ms)
         arrivals.append(round(now * MS))
     return arrivals
 
 
 @pytest.mark.parametrize(
-    ("host", "most_off", "most_lost"),
+    ("host", "max_off", "max_lost"),
     [
         ((0.2, 120.0, 350.0), 20, 320),
         ((1.0, 120.0, 350.0), 20, 320),
@@ -132,52 +132,55 @@ def standing_still(count, seed, apart_ms, elapsed_ms, stood_ms):
     ],
 )
 @pytest.mark.parametrize("seed", range(4))
-def test_backlog_of_a_stalled_host_is_not_taken_for_the_cycle(seed, host, most_off, most_lost):
+def test_backlog_of_a_stalled_host_is_not_taken_for_the_cycle(seed, host, max_off, max_lost):
     """The backlog arrives every 0.7 to 3 ms; the cycle is 10 ms."""
     timing, lost = counted(10.0 * MS)
-    arrivals = standing_still(6000, seed, *host)
-    placed = [one for number, at in enumerate(arrivals) for one in timing.add(number % 16, at, number)]
-    elapsed = np.array([one.elapsed_ns for one in placed[1:]]) / np.diff([one.values for one in placed])
+    arrivals = stalling_host(6000, seed, *host)
+    timed = [frame for number, at in enumerate(arrivals) for frame in timing.add(number % 16, at, number)]
+    elapsed = np.array([frame.elapsed_ns for frame in timed[1:]]) / np.diff([frame.values for frame in timed])
     off = np.count_nonzero(np.abs(elapsed / (10.0 * MS) - 1.0) > 0.5)
-    print(f"{off} of {len(placed)} off, {lost}")
-    assert off <= most_off  # where the next stall began before the backlog was read
-    assert lost[TimingEvent.LOST] <= most_lost
+    print(f"{off} of {len(timed)} off, {lost}")
+    assert off <= max_off  # where the next stall began before the backlog was read
+    assert lost[TimingEvent.LOST] <= max_lost
 
 
 def test_late_frame_after_a_gap_is_not_taken_for_a_stall():
     """76 frames are lost and the next one is 6 ms late: all 76 are counted, across wraps of the counter."""
     timing, events = counted(10.0 * MS)
-    placed = []
+    timed = []
     for number in (*range(100), *range(176, 200)):
         late_ms = 6 if number == 176 else 0
-        placed += timing.add(number % 16, (10 * number + late_ms) * MS, number)
+        timed += timing.add(number % 16, (10 * number + late_ms) * MS, number)
     assert events[TimingEvent.LOST] == 76
-    assert [one.stamp_ns // MS - 10 * number_of(one) for one in placed] == [0] * 100 + [6] + [0] * 23
+    assert [frame.stamp_ns // MS - 10 * number_of(frame) for frame in timed] == [0] * 100 + [6] + [0] * 23
 
 
-def number_of(placed: Any) -> int:
+def number_of(frame: Any) -> int:
     """Number of a frame; these tests use it as the frame's values."""
-    return int(placed.values)
+    return int(frame.values)
 
 
 def test_loss_followed_by_a_stall_counts_the_lost_frames():
     """76 frames are lost; the next ones are some cycles late and then catch up."""
     timing, lost = counted(10.0 * MS)
-    placed = []
+    timed = []
     for number in (*range(100), *range(176, 220)):
         late = 1825.0 + 0.2 * (number - 176) if 176 <= number < 183 else 0.0
-        placed += timing.add(number % 16, round(max(10.0 * number, late) * MS), number)
+        timed += timing.add(number % 16, round(max(10.0 * number, late) * MS), number)
     assert lost == {TimingEvent.LOST: 76}
-    assert max(abs(one.stamp_ns // MS - 10 * number_of(one)) for one in placed if number_of(one) > 183) == 0
+    assert (
+        max(abs(frame.stamp_ns // MS - 10 * number_of(frame)) for frame in timed if number_of(frame) > 183)
+        == 0
+    )
 
 
 def test_faster_sender_after_a_silence_is_not_held_back():
     """Frames less than half a cycle apart count as a burst only until they make up for the silence."""
     timing = CountedFrames(10.0 * MS, 16, lambda *_: None, *SENDER)
-    found = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
-    found += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]
-    assert sum(map(len, found)) == 500
-    assert max(len(each) for each in found) < 100
+    timed = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
+    timed += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]
+    assert sum(map(len, timed)) == 500
+    assert max(len(each) for each in timed) < 100
 
 
 @pytest.mark.parametrize("modulus", [0, 16])
@@ -192,7 +195,7 @@ def test_frames_held_back_at_a_reopening_are_counted(modulus):
         if modulus
         else UncountedFrames(10.0 * MS, report, *SENDER)
     )
-    placed = [timing.add(number % 16, 10 * number * MS, number) for number in (*range(100), 176)]
-    assert sum(map(len, placed)) == 100
+    timed = [timing.add(number % 16, 10 * number * MS, number) for number in (*range(100), 176)]
+    assert sum(map(len, timed)) == 100
     timing.resume()
     assert events == {TimingEvent.CUT_OFF: 1}

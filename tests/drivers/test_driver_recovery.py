@@ -172,7 +172,7 @@ def test_scans_within_a_second_of_power(baud):
 @pytest.mark.slow
 def test_no_wrong_telegram_passes_one_percent_of_corruption():
     random = np.random.default_rng(5)
-    parser, tally = None, Tally()
+    tally = Tally()
     parser = TelegramParser(FROM_SENSOR, 38400, 11, tally, "scan")
     true, accepted, now = set(), [], 0
     for k in range(3000):
@@ -193,9 +193,9 @@ def test_no_wrong_frame_passes_one_percent_of_corruption():
     device, decoder, outcome = can_device(), FrameDecoder(FRAMES, Tally()), Counter()
     for now in range(0, 100 * S, 10 * MS):
         for name, data in device.step(now):
-            spoilt = corrupt_bytes(data, 0.01, random)
-            accepted = not isinstance(decoder.decode(name, spoilt, now), Rejection)
-            outcome[accepted, spoilt == data] += 1
+            corrupt = corrupt_bytes(data, 0.01, random)
+            accepted = not isinstance(decoder.decode(name, corrupt, now), Rejection)
+            outcome[accepted, corrupt == data] += 1
     assert outcome[True, False] == 0
     assert outcome[False, False] > 2000
     assert outcome[True, True] > 27000
@@ -212,8 +212,8 @@ def watson_outcome(rate, lines):
         data = device.step(now)
         true = [sample._replace(stamp_ns=0) for sample in clean.feed(data, now)]
         for sample in stream.feed(corrupt_bytes(data, rate, random), now):
-            known = sample._replace(stamp_ns=0) in true
-            right, wrong = right + known, wrong + (not known)
+            is_unchanged = sample._replace(stamp_ns=0) in true
+            right, wrong = right + is_unchanged, wrong + (not is_unchanged)
     return right, wrong, device.lines_emitted - right - wrong
 
 

@@ -100,7 +100,7 @@ def test_numbers_that_a_can_bus_has_are_read(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
-def test_own_contract_is_read_in_any_encoding(tmp_path: Path, encoding: str) -> None:
+def test_own_dbc_is_read_in_any_encoding(tmp_path: Path, encoding: str) -> None:
     text = config_file("excavator.dbc").read_text(encoding="utf-8")
     path = tmp_path / "bus.dbc"
     path.write_text(text + '\nCM_ "Bagger für Sand: 30°";\n', encoding=encoding)

@@ -79,12 +79,12 @@ def test_multiplexed_values_equal_those_of_cantools(
             expected = message.decode(data, decode_choices=False)
         except DecodeError:  # a selector without signals
             continue
-        found = unpacked(decoder, data)
+        values = unpacked(decoder, data)
         finite = {name: value for name, value in expected.items() if abs(value) < float("inf")}
         if len(finite) < len(expected):  # NaN and infinity are no values
-            assert found is None
+            assert values is None
         else:
-            assert found == {name: float(value) for name, value in expected.items()}
+            assert values == {name: float(value) for name, value in expected.items()}
 
 
 def test_decoded_values_equal_those_of_cantools(path: Path) -> None:
@@ -107,5 +107,5 @@ def test_frame_is_accepted_if_all_values_are_in_range(path: Path) -> None:
                 for one, value in zip(signals, values, strict=True)
                 if value is not None and (one.low or one.high)
             ]
-            found = unpacked(decoder, bytes.fromhex(data))
-            assert (found is not None) == all(are_in), (row["file"], row["frame"])
+            decoded = unpacked(decoder, bytes.fromhex(data))
+            assert (decoded is not None) == all(are_in), (row["file"], row["frame"])

@@ -25,15 +25,15 @@ LINE_RATE = 11_520  # B/s
 
 @pytest.fixture
 def casters() -> Iterator[Callable[..., Caster]]:
-    made: list[Caster] = []
+    opened: list[Caster] = []
 
     def make(*behaviours: Serve) -> Caster:
-        made.append(Caster(*behaviours))
-        return made[-1]
+        opened.append(Caster(*behaviours))
+        return opened[-1]
 
     yield make
-    for one in made:
-        one.close()
+    for caster in opened:
+        caster.close()
 
 
 @pytest.fixture(autouse=True)
@@ -54,10 +54,12 @@ class Receiver:
     """A running client inside a ``with`` block, its received messages, and its faults."""
 
     def __init__(self, caster: Caster, gga: bytes | None = GGA, **more: object) -> None:
-        self.got: list[bytes] = []
+        self.messages: list[bytes] = []
         self.faults: list[str] = []
         p = parameters(caster.port, **more)
-        self.client = NtripClient(p, Credentials(USER, PASSWORD), LINE_RATE, self.got.append, lambda: gga)
+        self.client = NtripClient(
+            p, Credentials(USER, PASSWORD), LINE_RATE, self.messages.append, lambda: gga
+        )
 
     def __enter__(self) -> "Receiver":
         self.client.start()
@@ -102,8 +104,8 @@ def replies(data: bytes) -> Serve:
 def test_whole_messages_arrive_in_order(casters: Callable[..., Caster], answer: bytes) -> None:
     caster = casters(streams(20, answer))
     with Receiver(caster) as receiver:
-        receiver.wait(lambda: len(receiver.got) == 20)
-        assert receiver.got == [rtcm(number=k) for k in range(20)]
+        receiver.wait(lambda: len(receiver.messages) == 20)
+        assert receiver.messages == [rtcm(number=k) for k in range(20)]
         state = receiver.client.state()
         assert (state.fault, state.messages, state.left_out) == ("", 20, 0)
     request = caster.requests[0].decode()
@@ -120,8 +122,8 @@ def test_chunked_streams_are_read(casters: Callable[..., Caster]) -> None:
         connection.recv(4096)
 
     with Receiver(casters(serve)) as receiver:
-        receiver.wait(lambda: len(receiver.got) == 5)
-        assert receiver.got == [rtcm(number=k) for k in range(5)]
+        receiver.wait(lambda: len(receiver.messages) == 5)
+        assert receiver.messages == [rtcm(number=k) for k in range(5)]
 
 
 def test_positions_go_back_to_the_caster(casters: Callable[..., Caster]) -> None:
@@ -148,7 +150,7 @@ def test_caster_is_not_asked_before_there_is_a_position_for_it(casters: Callable
         receiver.wait_for_fault("waiting for the first position")
         assert caster.requests == []
     with Receiver(caster, gga=None, gga_interval=0.0) as receiver:
-        receiver.wait(lambda: len(receiver.got) == 1)
+        receiver.wait(lambda: len(receiver.messages) == 1)
 
 
 FAULTS: dict[str, tuple[Serve, str]] = {
@@ -179,7 +181,9 @@ def test_each_fault_is_named_and_corrections_come_again_after_it(
     caster = casters(serve, serve, streams(30))
     with Receiver(caster) as receiver:
         receiver.wait_for_fault(words)
-        receiver.wait(lambda: receiver.client.state().fault == "" and receiver.got[-1:] == [rtcm(number=29)])
+        receiver.wait(
+            lambda: receiver.client.state().fault == "" and receiver.messages[-1:] == [rtcm(number=29)]
+        )
         texts = " ".join([*receiver.faults, receiver.client.where, repr(vars(receiver.client))])
     out, err = capfd.readouterr()
     assert out + err == ""
@@ -190,7 +194,7 @@ def test_each_fault_is_named_and_corrections_come_again_after_it(
 def test_flood_reaches_the_receiver_no_faster_than_its_line(casters: Callable[..., Caster]) -> None:
     with Receiver(casters(FAULTS["1 MB/s"][0], streams(0))) as receiver:
         receiver.wait_for_fault("sends more than")
-        assert sum(map(len, receiver.got)) < LINE_RATE
+        assert sum(map(len, receiver.messages)) < LINE_RATE
         assert receiver.client.state().left_out > 0
 
 
@@ -205,9 +209,9 @@ def test_credentials_are_two_lines_of_a_file_that_only_its_owner_reads(tmp_path:
     file = tmp_path / "ntrip"
     file.write_text(f"{USER}\n{PASSWORD}\n", encoding="utf-8")
     file.chmod(0o600)
-    found = read_credentials(file)
-    assert (found.user, found.password) == (USER, PASSWORD)
-    assert PASSWORD not in f"{found} {found!r}"
+    credentials = read_credentials(file)
+    assert (credentials.user, credentials.password) == (USER, PASSWORD)
+    assert PASSWORD not in f"{credentials} {credentials!r}"
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ class Bench:
             self.poll()
         return (self.now_ns - began_ns) / S
 
-    def hold_the_host(self, seconds: float) -> None:
+    def stall_host(self, seconds: float) -> None:
         """Stop the host for so long; the bytes that arrive meanwhile are then read 4096 at a time."""
         end_ns, waiting = self.now_ns + round(seconds * S), b""
         while self.now_ns < end_ns:
@@ -134,12 +134,12 @@ def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
 
 
 @pytest.mark.parametrize("baud", [9600, 38400, 500000])
-@pytest.mark.parametrize("held_s", [0.5, 5.0, 60.0])
-def test_scans_read_after_a_host_stall_are_stamped_at_their_measurement(baud: int, held_s: float) -> None:
+@pytest.mark.parametrize("stall_s", [0.5, 5.0, 60.0])
+def test_scans_read_after_a_host_stall_are_stamped_at_their_measurement(baud: int, stall_s: float) -> None:
     """Each stamp is within 5 ms of the true time of its sweep."""
     bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(2.0)
-    bench.hold_the_host(held_s)
+    bench.stall_host(stall_s)
     bench.run(5.0)
     for scan in bench.scans:
         stamp_ns = min(bench.device.stamps, key=lambda true_ns: abs(true_ns - scan.sample.stamp_ns))

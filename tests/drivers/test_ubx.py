@@ -27,8 +27,8 @@ NOON = 43_200 * S
 
 
 def pvt(tow=TOW, **more):
-    given_fields = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "height": 520_000}
-    fields = given_fields | {"hAcc": 14, "vAcc": 20, "validTime": 1} | more
+    defaults = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "height": 520_000}
+    fields = defaults | {"hAcc": 14, "vAcc": 20, "validTime": 1} | more
     return UBXMessage("NAV", "NAV-PVT", GET, iTOW=tow, **fields).serialize()
 
 
@@ -49,10 +49,10 @@ def relative(tow=TOW, **more):
 
 
 def test_position_and_its_accuracy():
-    found = ubx.decode(pvt())
-    assert isinstance(found, ubx.Pvt)
-    assert found[:5] == pytest.approx((NOON, 48.1, 11.6, 520.0, 4))
-    assert found.stddevs == pytest.approx((0.014, 0.014, 0.02))
+    reading = ubx.decode(pvt())
+    assert isinstance(reading, ubx.Pvt)
+    assert reading[:5] == pytest.approx((NOON, 48.1, 11.6, 520.0, 4))
+    assert reading.stddevs == pytest.approx((0.014, 0.014, 0.02))
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_message_is_refused_for_what_it_states(message, expected):
 
 
 @pytest.mark.parametrize(
-    ("given_flags", "status", "quality"),
+    ("flags", "status", "quality"),
     [
         ({"carrSoln": 2}, FixStatus.RTK, 4),
         ({"carrSoln": 1}, FixStatus.RTK, 5),
@@ -88,11 +88,11 @@ def test_message_is_refused_for_what_it_states(message, expected):
         ({"carrSoln": 0}, FixStatus.SINGLE, 1),
     ],
 )
-def test_solution_decides_the_status(given_flags, status, quality):
-    found = ubx.decode(pvt(**given_flags))
-    assert isinstance(found, ubx.Pvt)
-    assert found.quality == quality
-    _, sample = NmeaStream(P, Tally()).feed(pvt(**given_flags), S)
+def test_solution_decides_the_status(flags, status, quality):
+    reading = ubx.decode(pvt(**flags))
+    assert isinstance(reading, ubx.Pvt)
+    assert reading.quality == quality
+    _, sample = NmeaStream(P, Tally()).feed(pvt(**flags), S)
     assert sample.status is status
 
 
@@ -109,8 +109,8 @@ def test_impossible_velocity_is_refused_and_the_fix_is_not():
 
 
 def test_heading_is_that_of_the_moving_base():
-    found = ubx.decode(relative())
-    assert found == Heading(NOON, pytest.approx(math.radians(60.0)), pytest.approx(math.radians(0.2)))
+    reading = ubx.decode(relative())
+    assert reading == Heading(NOON, pytest.approx(math.radians(60.0)), pytest.approx(math.radians(0.2)))
 
 
 def epochs(*encoders, count=20):
@@ -157,5 +157,5 @@ def test_an_accuracy_of_zero_is_unknown():
 
 
 @given(st.sampled_from([0x07, 0x14, 0x36, 0x3C]), st.binary(max_size=120))
-def test_any_payload_is_survived(name, payload):
+def test_any_payload_raises_no_exception(name, payload):
     ubx.decode(b"\xb5\x62\x01" + bytes((name,)) + len(payload).to_bytes(2, "little") + payload + b"\0\0")

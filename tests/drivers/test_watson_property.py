@@ -52,7 +52,7 @@ def test_frame_round_trip(values):
         assert error <= 1.000001 * channel.full_scale / 8192
 
 
-LOOK_NS = 100_000_000  # between reads of the port
+READ_INTERVAL_NS = 100_000_000  # between reads of the port
 
 
 @seeded
@@ -67,14 +67,14 @@ def test_cutting_of_the_stream_changes_nothing(lines, places):
     )
     whole = WatsonStream(LAYOUT, 9600, 0, Tally()).feed(data, 10**15)
     parser = WatsonStream(LAYOUT, 9600, 0, Tally())
-    left, looked_ns = len(data), 10**15 - len(data) * 10**10 // 9600
+    left, last_read_ns = len(data), 10**15 - len(data) * 10**10 // 9600
     pieces = []
     for piece in cut(data, places):
         left -= len(piece)
         arrival_ns = 10**15 - left * 10**10 // 9600
-        for empty_ns in range(looked_ns, arrival_ns, LOOK_NS):
+        for empty_ns in range(last_read_ns, arrival_ns, READ_INTERVAL_NS):
             parser.feed(b"", empty_ns)
-        pieces, looked_ns = pieces + parser.feed(piece, arrival_ns), arrival_ns
+        pieces, last_read_ns = pieces + parser.feed(piece, arrival_ns), arrival_ns
     assert len(pieces) == len(lines)
     for piece, sample in zip(pieces, whole, strict=True):
         assert piece.stamp_ns == pytest.approx(sample.stamp_ns, abs=3)

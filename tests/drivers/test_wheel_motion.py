@@ -18,19 +18,19 @@ NAMES = ["rear_right_wheel", "arm", "front_left_wheel", "rear_left_wheel", "fron
 S = 1_000_000_000
 
 
-def parameters(**given_):
-    return load_parameters(WheelParameters, NODE, (f"{NODE}.yaml",), given_)
+def parameters(**changes):
+    return load_parameters(WheelParameters, NODE, (f"{NODE}.yaml",), changes)
 
 
 def test_sides_are_means_of_their_joints_by_name():
-    found = JointMotion(parameters()).sample(S, NAMES, [4.0, 9.0, 1.0, 3.0, 6.0], [0.4, 9.0, 0.1, 0.3, 0.6])
-    assert found == SprocketSample(S, *map(pytest.approx, (2.0, 5.0, 0.2, 0.5)))
+    sample = JointMotion(parameters()).sample(S, NAMES, [4.0, 9.0, 1.0, 3.0, 6.0], [0.4, 9.0, 0.1, 0.3, 0.6])
+    assert sample == SprocketSample(S, *map(pytest.approx, (2.0, 5.0, 0.2, 0.5)))
 
 
 def test_sign_and_ratio():
     motion = JointMotion(parameters(right_sign=-1, joint_ratio=25.0))
-    found = motion.sample(S, NAMES, [-50.0, 0.0, 25.0, 25.0, -50.0], [-5.0, 0.0, 5.0, 5.0, -5.0])
-    assert found == SprocketSample(S, *map(pytest.approx, (1.0, 2.0, 0.2, 0.2)))
+    sample = motion.sample(S, NAMES, [-50.0, 0.0, 25.0, 25.0, -50.0], [-5.0, 0.0, 5.0, 5.0, -5.0])
+    assert sample == SprocketSample(S, *map(pytest.approx, (1.0, 2.0, 0.2, 0.2)))
 
 
 def test_positions_alone_are_differenced():
@@ -49,31 +49,31 @@ def test_wrapping_positions_give_a_steady_speed(first, uses):
     """Each joint wraps at a different time; 50 Hz, 5 rad/s."""
     motion = JointMotion(parameters(uses=uses))
     turned = [0.3, 0.0, 2.0, 1.0, 5.9]
-    found = []
+    samples = []
     for k in range(300):
         positions = [(angle + 0.1 * k - first) % math.tau + first for angle in turned]
-        found.append(motion.sample(S + k * S // 50, NAMES, positions, []))
-    assert [one.left_velocity for one in found[1:]] == pytest.approx([5.0] * 299)
-    assert [one.right_velocity for one in found[1:]] == pytest.approx([5.0] * 299)
-    assert found[-1].left_position - found[0].left_position == pytest.approx(29.9)
+        samples.append(motion.sample(S + k * S // 50, NAMES, positions, []))
+    assert [one.left_velocity for one in samples[1:]] == pytest.approx([5.0] * 299)
+    assert [one.right_velocity for one in samples[1:]] == pytest.approx([5.0] * 299)
+    assert samples[-1].left_position - samples[0].left_position == pytest.approx(29.9)
 
 
 def test_positions_that_wrap_beside_velocities_are_followed():
     motion = JointMotion(parameters())
-    found = [
+    samples = [
         motion.sample(S + k * S // 50, NAMES, [(0.1 * k + math.pi) % math.tau - math.pi] * 5, [5.0] * 5)
         for k in range(100)
     ]
-    assert found[-1].left_position == pytest.approx(9.9)
+    assert samples[-1].left_position == pytest.approx(9.9)
     motion.restart()
     assert motion.sample(4 * S, NAMES, [1.0] * 5, [5.0] * 5).left_position == 1.0
 
 
 def test_velocities_alone_leave_positions_unknown():
-    found = JointMotion(parameters()).sample(S, NAMES, [], [1.0] * 5)
-    assert math.isnan(found.left_position)
-    assert math.isnan(found.right_position)
-    assert (found.left_velocity, found.right_velocity) == (1.0, 1.0)
+    sample = JointMotion(parameters()).sample(S, NAMES, [], [1.0] * 5)
+    assert math.isnan(sample.left_position)
+    assert math.isnan(sample.right_position)
+    assert (sample.left_velocity, sample.right_velocity) == (1.0, 1.0)
 
 
 def test_field_filled_with_nan_is_ignored():
@@ -99,11 +99,11 @@ def test_message_is_refused(names, positions, velocities, reason):
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.3, 3.0), st.floats(0.05, 0.6))
 def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
     p = parameters(wheel_separation=separation, **{"vehicle.kinematics.rolling_radius": radius})
-    found = sample_of_speeds(S, v, rate, p)
-    assert radius * (found.left_velocity + found.right_velocity) / 2.0 == pytest.approx(v)
-    turning = radius * (found.right_velocity - found.left_velocity) / separation
+    sample = sample_of_speeds(S, v, rate, p)
+    assert radius * (sample.left_velocity + sample.right_velocity) / 2.0 == pytest.approx(v)
+    turning = radius * (sample.right_velocity - sample.left_velocity) / separation
     assert turning == pytest.approx(rate, abs=1e-9)
-    assert math.isnan(found.left_position)
+    assert math.isnan(sample.left_position)
 
 
 def test_non_finite_speeds_are_refused():
@@ -118,6 +118,6 @@ def test_impossible_joint_settings_are_refused(names):
 
 @given(st.lists(st.floats(), max_size=5), st.lists(st.floats(), max_size=5), st.lists(st.sampled_from(NAMES)))
 def test_any_message_gives_finite_speeds_or_a_rejection(positions, velocities, names):
-    found = JointMotion(parameters()).sample(S, names, positions, velocities)
-    if not isinstance(found, Rejection):
-        assert math.isfinite(found.left_velocity + found.right_velocity)
+    sample = JointMotion(parameters()).sample(S, names, positions, velocities)
+    if not isinstance(sample, Rejection):
+        assert math.isfinite(sample.left_velocity + sample.right_velocity)
