@@ -138,7 +138,7 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     recovery = recover(tmp_path / "bag", tmp_path / "out", shares.append)
     assert len(shares) > 4  # several per file
     assert sum(shares) == pytest.approx(1.0)
-    assert (recovery.cut, len(recovery.problems)) == (1, 1)
+    assert (recovery.truncated_files, len(recovery.problems)) == (1, 1)
     assert len(list((tmp_path / "out").glob("*.mcap"))) == 4
     found = contents(tmp_path / "out")
     assert found == [imu(i) for i in range(len(found))]
@@ -179,7 +179,7 @@ def test_a_recorder_killed_before_its_first_chunk_leaves_an_empty_bag(tmp_path: 
     file = tmp_path / "copy" / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:30])
     recovery = recover(tmp_path / "copy", tmp_path / "out")
-    assert (recovery.messages, recovery.cut) == (0, 1)
+    assert (recovery.messages, recovery.truncated_files) == (0, 1)
     assert contents(tmp_path / "out") == []
 
 

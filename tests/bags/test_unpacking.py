@@ -35,19 +35,19 @@ PACKED = {
 
 @pytest.mark.parametrize("kind", PACKED)
 def test_chunk_is_unpacked_to_what_it_states(kind: str) -> None:
-    assert decompress(PACKED[kind](5000), kind.partition("_")[0], 5000) == b"\0" * 5000
+    assert decompress(PACKED[kind](5000), 5000, kind.partition("_")[0]) == b"\0" * 5000
 
 
 @pytest.mark.parametrize("kind", PACKED)
 @pytest.mark.parametrize("stated", [0, 4999, 5001])
 def test_chunk_of_another_size_than_stated_is_refused(kind: str, stated: int) -> None:
     with pytest.raises(ValueError, match="another size"):
-        decompress(PACKED[kind](5000), kind.partition("_")[0], stated)
+        decompress(PACKED[kind](5000), stated, kind.partition("_")[0])
 
 
 def test_chunk_above_the_size_limit_is_refused() -> None:
     with pytest.raises(ValueError, match="4000 MB; accepted"):
-        decompress(b"", "zstd", 4_000_000_000)
+        decompress(b"", 4_000_000_000, "zstd")
 
 
 def test_message_above_the_unpacked_limit_is_refused() -> None:

@@ -63,8 +63,8 @@ def read_stretches(
     first = bag.start_ns if start_ns is None else start_ns
     stop = bag.end_ns + 1 if stop_ns is None else stop_ns
     if bag.end_ns > LATEST_NS:
-        beyond = "messages are logged after 2262, beyond what is read"
-        raise InputError(f"bag '{bag.path}': {beyond}; trackslip recover leaves them out")
+        fault = "messages are logged after 2262, beyond what is read"
+        raise InputError(f"bag '{bag.path}': {fault}; trackslip recover leaves them out")
     names = {absolute_name(topic) for topic in topics}
     types = {topic: info.type_name for topic, info in bag.topics.items() if absolute_name(topic) in names}
     require_one_type(bag, types)
@@ -134,23 +134,25 @@ def _merge_chunks(parts: deque[FileChunk], start_ns: int, stop_ns: int) -> Itera
     while parts:
         pieces, size = [buffer], buffer.size
         indexed: list[ChannelIndex] = []
-        limit_ns, most = parts[0].chunk.message_start_time + STRETCH_NS, size + _STRETCH_BYTES
-        while parts and parts[0].chunk.message_start_time < limit_ns and size < most:
+        limit_ns, max_size = parts[0].chunk.message_start_time + STRETCH_NS, size + _STRETCH_BYTES
+        while parts and parts[0].chunk.message_start_time < limit_ns and size < max_size:
             part = parts.popleft()
             content = read_chunk(part)
             indexed += read_indexes(part, size, size + content.size)
             pieces.append(content)
             size += content.size
         until_ns = min(parts[0].chunk.message_start_time, stop_ns) if parts else stop_ns
-        whole = np.concatenate(pieces)
-        rows = join_rows([waiting, locate_messages(whole, indexed)])
-        requested = rows.log_times_ns >= start_ns
-        now = select_rows(rows, requested & (rows.log_times_ns < until_ns))
-        ready = select_rows(now, np.lexsort((now.written[:, 1], now.written[:, 0], now.log_times_ns)))
+        joined = np.concatenate(pieces)
+        rows = join_rows([waiting, locate_messages(joined, indexed)])
+        since_start = rows.log_times_ns >= start_ns
+        due = select_rows(rows, since_start & (rows.log_times_ns < until_ns))
+        ordered = select_rows(due, np.lexsort((due.written[:, 1], due.written[:, 0], due.log_times_ns)))
         if until_ns > start_ns:
-            yield Stretch(until_ns, whole, ready.topics, ready.log_times_ns, ready.starts, ready.lengths)
+            yield Stretch(
+                until_ns, joined, ordered.topics, ordered.log_times_ns, ordered.starts, ordered.lengths
+            )
         buffer, waiting = _copy_messages(
-            whole, select_rows(rows, requested & (rows.log_times_ns >= until_ns))
+            joined, select_rows(rows, since_start & (rows.log_times_ns >= until_ns))
         )
 
 
@@ -159,5 +161,5 @@ def _copy_messages(buffer: Bytes, rows: MessageRows) -> tuple[Bytes, MessageRows
     ends = np.cumsum(rows.lengths)
     pairs = zip(rows.starts.tolist(), (rows.starts + rows.lengths).tolist(), strict=True)
     pieces = [buffer[start:end] for start, end in pairs]
-    kept = np.concatenate(pieces) if pieces else np.empty(0, np.uint8)
-    return kept, rows._replace(starts=ends - rows.lengths)
+    copied = np.concatenate(pieces) if pieces else np.empty(0, np.uint8)
+    return copied, rows._replace(starts=ends - rows.lengths)

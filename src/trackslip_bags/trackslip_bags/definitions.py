@@ -66,11 +66,11 @@ def _collect_definitions(type_name: str, texts: dict[str, str]) -> None:
     constants, fields, inner = [], [], []
     for line in path.read_text(encoding="utf-8").splitlines():
         content = line.partition("#")[0].strip()
-        found = _LINE.fullmatch(content)
-        if content and found is None:
+        match = _LINE.fullmatch(content)
+        if content and match is None:
             raise ValueError(f"{path}: {content}")
-        if found is not None:
-            kind, array, name, equals, value = found.groups()
+        if match is not None:
+            kind, array, name, equals, value = match.groups()
             if not _BASIC.fullmatch(kind):
                 kind = _full_name(kind, type_name.partition("/")[0])
                 inner.append(kind)

@@ -32,16 +32,16 @@ class RecordedFile(NamedTuple):
 
 def is_recording(folder: Path) -> bool:
     """Whether a directory is a bag written by ``trackslip record``, without other files."""
-    own = re.compile(
+    own_names = re.compile(
         rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED_NAME.pattern}"
     )
     try:
         files = list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []
     except OSError:
         return False
-    named = all(own.fullmatch(file.name) and file.is_file() and not file.is_symlink() for file in files)
-    of_data = [file for file in files if file.suffix == ".mcap"]
-    return named and bool(of_data) and all(map(_is_recorded, of_data))
+    named = all(own_names.fullmatch(file.name) and file.is_file() and not file.is_symlink() for file in files)
+    data_files = [file for file in files if file.suffix == ".mcap"]
+    return named and bool(data_files) and all(map(_is_recorded, data_files))
 
 
 def _is_recorded(file: Path) -> bool:
@@ -60,18 +60,18 @@ def recorded_files(folder: Path) -> Iterator[RecordedFile]:
         if is_recording(bag):
             for file in bag.glob("*.mcap"):
                 with suppress(OSError):  # removed meanwhile
-                    about = file.stat()
-                    yield RecordedFile(file, about.st_size, about.st_mtime)
+                    status = file.stat()
+                    yield RecordedFile(file, status.st_size, status.st_mtime)
 
 
 def files_over_budget(
-    files: list[RecordedFile], most: int, bag: Path, writing: Path, now_s: float
+    files: list[RecordedFile], max_size: int, bag: Path, writing: Path, now_s: float
 ) -> list[Path]:
-    """The oldest files, to be removed so that at most ``most`` bytes remain.
+    """The oldest files, to be removed so that at most ``max_size`` bytes remain.
 
     Excluded are ``writing``, and recently changed files of other bags than ``bag``.
     """
-    surplus = sum(file.size for file in files) - most
+    surplus = sum(file.size for file in files) - max_size
     removed: list[Path] = []
     for file in sorted(files, key=lambda file: (file.changed_s, file.path)):
         is_idle = file.path.parent == bag or now_s - file.changed_s > _IDLE_TIME

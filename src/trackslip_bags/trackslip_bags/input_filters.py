@@ -108,11 +108,13 @@ def relative_name(topic: str) -> str:
     return topic.removeprefix("/")
 
 
-def _numbers(text: str, parts: list[str], option: str, form: str, least: int, most: int) -> list[float]:
+def _numbers(
+    text: str, parts: list[str], option: str, form: str, min_count: int, max_count: int
+) -> list[float]:
     try:
         numbers = [float(part) for part in parts]
     except ValueError as error:
         raise InputError(f"{option} {text}: accepted: {form}") from error
-    if not least <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
+    if not min_count <= len(numbers) <= max_count or not all(map(math.isfinite, numbers)):
         raise InputError(f"{option} {text}: accepted: {form}")
     return numbers

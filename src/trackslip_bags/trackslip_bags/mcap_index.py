@@ -67,34 +67,34 @@ class ChannelIndex(NamedTuple):
 
 
 def chunks_of(
-    stream: IO[bytes], summary: Summary | None, types: Mapping[str, str], known: int
+    stream: IO[bytes], summary: Summary | None, types: Mapping[str, str], first_rank: int
 ) -> list[FileChunk]:
-    """The chunks of a file in the order written; ``known``: number of chunks of the files before it."""
+    """The chunks of a file in the order written; ``first_rank``: number of chunks of the files before it."""
     if summary is None or summary.statistics is None:
         raise ValueError("no summary")
     indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
     if summary.statistics.message_count and not any(index.message_index_offsets for index in indexes):
         raise ValueError("no index of messages")
     file = File(stream, _numbers(summary, types))
-    return [FileChunk(file, known + k, index) for k, index in enumerate(indexes)]
+    return [FileChunk(file, first_rank + k, index) for k, index in enumerate(indexes)]
 
 
 def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
     """Channel → index of its topic."""
-    places = {topic: number for number, topic in enumerate(types)}
-    channels = [channel for channel in summary.channels.values() if channel.topic in places]
+    numbers = {topic: number for number, topic in enumerate(types)}
+    channels = [channel for channel in summary.channels.values() if channel.topic in numbers]
     for channel in channels:
-        known = summary.schemas[channel.schema_id].name == types[channel.topic]
-        if not known or channel.message_encoding != MessageEncoding.CDR:
+        is_of_type = summary.schemas[channel.schema_id].name == types[channel.topic]
+        if not is_of_type or channel.message_encoding != MessageEncoding.CDR:
             raise ValueError(f"{channel.topic} of another type")
-    return {channel.id: places[channel.topic] for channel in channels}
+    return {channel.id: numbers[channel.topic] for channel in channels}
 
 
-def join_rows(found: list[MessageRows]) -> MessageRows:
+def join_rows(parts: list[MessageRows]) -> MessageRows:
     """All rows as one record."""
-    none = np.empty(0, np.int64)
-    blank = MessageRows(none, none, none.reshape(0, 2), none, none)
-    return MessageRows(*(np.concatenate(columns) for columns in zip(blank, *found, strict=True)))
+    empty = np.empty(0, np.int64)
+    blank = MessageRows(empty, empty, empty.reshape(0, 2), empty, empty)
+    return MessageRows(*(np.concatenate(columns) for columns in zip(blank, *parts, strict=True)))
 
 
 def select_rows(rows: MessageRows, which: BoolArray | IntArray) -> MessageRows:
@@ -115,7 +115,7 @@ def read_chunk(part: FileChunk) -> Bytes:
 
 
 def read_indexes(part: FileChunk, begin: int, end: int) -> Iterator[ChannelIndex]:
-    """The index of each wanted channel; the chunk lies between ``begin`` and ``end`` in the buffer."""
+    """The index of each requested channel; the chunk lies between ``begin`` and ``end`` in the buffer."""
     stream, index = part.file.stream, part.chunk
     stream.seek(index.chunk_start_offset + index.chunk_length)
     data = stream.read(index.message_index_length)
@@ -167,9 +167,9 @@ def _entries(data: bytes, at: int, channel: int) -> NDArray[np.void]:
     """Entries of the message index record that begins ``at``."""
     opcode, length = _HEAD.unpack_from(data, at) if at >= 0 else (0, 0)
     begin = at + _HEAD.size
-    named = int.from_bytes(data[begin : begin + 2], "little")
+    stated_channel = int.from_bytes(data[begin : begin + 2], "little")
     size = int.from_bytes(data[begin + 2 : begin + 6], "little")
-    whole = length == size + 6 and begin + length <= len(data) and size % _ENTRY.itemsize == 0
-    if opcode != int(Opcode.MESSAGE_INDEX) or named != channel or not whole:
+    is_complete = length == size + 6 and begin + length <= len(data) and size % _ENTRY.itemsize == 0
+    if opcode != int(Opcode.MESSAGE_INDEX) or stated_channel != channel or not is_complete:
         raise ValueError("no index of messages")
     return np.frombuffer(data, _ENTRY, size // _ENTRY.itemsize, begin + 6)

@@ -111,12 +111,12 @@ def check_metadata(bag: Path) -> None:
     _check_files(bag, _read_list(information, _FILES, MAX_FILES))
 
 
-def _read_list(information: Mapping[str, Any], name: str, most: int) -> list[Any]:
-    found = information.get(name)
-    if not isinstance(found, list) or len(found) > most:
-        size = f"{len(found)} entries" if isinstance(found, list) else "no list"
-        raise ValueError(f"{METADATA}: {name}: {size}; accepted: a list of up to {most}")
-    return found
+def _read_list(information: Mapping[str, Any], name: str, max_length: int) -> list[Any]:
+    entries = information.get(name)
+    if not isinstance(entries, list) or len(entries) > max_length:
+        size = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
+        raise ValueError(f"{METADATA}: {name}: {size}; accepted: a list of up to {max_length}")
+    return entries
 
 
 def _check_topics(topics: Iterable[Any]) -> None:
@@ -138,10 +138,10 @@ def _check_files(bag: Path, files: Iterable[Any]) -> None:
     for name in files:
         if not isinstance(name, str) or not name or "\0" in name:
             raise ValueError(f"{METADATA}: {_FILES}: {name!r:.40}; accepted: names of files")
-        about = (bag / PurePath(name).name).stat()  # as rosbags resolves the name
-        if (about.st_dev, about.st_ino) in seen:
+        status = (bag / PurePath(name).name).stat()  # as rosbags resolves the name
+        if (status.st_dev, status.st_ino) in seen:
             raise ValueError(f"{METADATA}: {_FILES}: '{name:.200}' is there twice; accepted: each file once")
-        seen.add((about.st_dev, about.st_ino))
+        seen.add((status.st_dev, status.st_ino))
 
 
 def _total_extent(extents: Iterable[Extent]) -> Extent:

@@ -17,19 +17,19 @@ class NamespaceView:
         self.start_ns, self.end_ns = source.start_ns, source.end_ns
         self._source, self._topics = source, source.topics()
         prefix = f"/{namespace.strip('/')}/"
-        self._outside = {
+        self._bag_names = {
             _name_in_namespace(t, prefix): t for t in self._topics if t.startswith((prefix, *_GLOBAL_TOPICS))
         }
 
     def topics(self) -> dict[str, TopicInfo]:
         """Name within the namespace → information on the topic."""
-        return {name: self._topics[topic] for name, topic in self._outside.items()}
+        return {name: self._topics[topic] for name, topic in self._bag_names.items()}
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         """The messages of the namespace, as those of ``Source.messages``."""
-        outside = {topic: name for name, topic in self._outside.items() if names is None or name in names}
-        for message in self._source.messages(outside.keys(), start_ns, stop_ns):
-            yield message._replace(topic=outside[message.topic])
+        renamed = {topic: name for name, topic in self._bag_names.items() if names is None or name in names}
+        for message in self._source.messages(renamed.keys(), start_ns, stop_ns):
+            yield message._replace(topic=renamed[message.topic])
 
     def close(self) -> None:
         """Close the part."""

@@ -84,16 +84,16 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
 
 def _sources_of_kind(stated: Mapping[str, Any], kind: str) -> list[str]:
     """The sources of a kind; items other than texts are ignored here, and rejected by the later check."""
-    given = stated.get(kind, _DEFAULTS.get(kind, ()))
-    return nonempty_names([topic for topic in _as_list(given) if isinstance(topic, str)])
+    value = stated.get(kind, _DEFAULTS.get(kind, ()))
+    return nonempty_names([topic for topic in _as_list(value) if isinstance(topic, str)])
 
 
-def _as_list(given: Any) -> Sequence[Any]:
-    return given if isinstance(given, (list, tuple)) else [given]
+def _as_list(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, (list, tuple)) else [value]
 
 
-def _parameter_per_source(topics: Sequence[str], key: str, given: Any) -> dict[str, Any]:
+def _parameter_per_source(topics: Sequence[str], key: str, value: Any) -> dict[str, Any]:
     """One parameter per source from a list, or one value for all; excess sources or values are ignored."""
-    each = _as_list(given)
-    each = list(each) * len(topics) if len(each) == 1 else each
-    return {f"sources.{group_name(topic)}.{key}": value for topic, value in zip(topics, each, strict=False)}
+    values = _as_list(value)
+    values = list(values) * len(topics) if len(values) == 1 else values
+    return {f"sources.{group_name(topic)}.{key}": item for topic, item in zip(topics, values, strict=False)}

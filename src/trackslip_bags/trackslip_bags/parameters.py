@@ -48,8 +48,8 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
     values = bag_parameters(bag)
     if not has_vehicle_name(values):
         return None
-    own = {name: value for name, value in values.items() if name.startswith(f"{TOPIC}.")}
-    return from_flat(ParametersWithVehicle, own, where).vehicle
+    vehicle_values = {name: value for name, value in values.items() if name.startswith(f"{TOPIC}.")}
+    return from_flat(ParametersWithVehicle, vehicle_values, where).vehicle
 
 
 def namespaces(bag: Bag) -> list[str]:
@@ -68,24 +68,24 @@ def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
 
     The mounting of an IMU may come later, from /tf_static; the estimator does not use the IMU before.
     """
-    found: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     for message in bag.messages([f"{node}/parameters"]):
         content = bag.deserialize(message.raw, message.type_name)
         values = flatten(_read(bag, content, node)["ros__parameters"])
-        found = found or values
-        mountings = mounting_names(found)
+        parameters = parameters or values
+        mountings = mounting_names(parameters)
         if not mountings:
-            return found
-        found |= {name: values[name] for name in mountings & values.keys()}
-    return found
+            return parameters
+        parameters |= {name: values[name] for name in mountings & values.keys()}
+    return parameters
 
 
 def mounting_names(values: Mapping[str, Any]) -> set[str]:
     """Names of the mounting parameters that /tf_static may set after the start."""
-    by_tf = [
+    sources = [
         name.removesuffix(_FROM_TF) for name, value in values.items() if name.endswith(_FROM_TF) and value
     ]
-    return {f"{source}.mounting_{axis}" for source in by_tf for axis in ("roll", "pitch", "yaw")}
+    return {f"{source}.mounting_{axis}" for source in sources for axis in ("roll", "pitch", "yaw")}
 
 
 def bag_learned(bag: Bag) -> Any:
@@ -120,9 +120,9 @@ def read_learned(bag: Bag, content: Any) -> Any:
 def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:
     """The node's entry of a parameter message."""
     try:
-        found = parse_yaml(content.data, f"{node}/parameters")[node]
-        if isinstance(found, Mapping) and isinstance(found["ros__parameters"], Mapping):
-            return found
+        entry = parse_yaml(content.data, f"{node}/parameters")[node]
+        if isinstance(entry, Mapping) and isinstance(entry["ros__parameters"], Mapping):
+            return entry
         raise TypeError(node)
     except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

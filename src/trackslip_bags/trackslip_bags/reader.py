@@ -74,9 +74,9 @@ class Bag:
         """Messages in log order; messages of equal log time in the order written.
 
         Args:
-            topics: the topics wanted; None: all.
-            start_ns: log time of the earliest message wanted.
-            stop_ns: log time before which all wanted messages lie.
+            topics: the requested topics; None: all.
+            start_ns: log time of the earliest requested message.
+            stop_ns: log time before which all requested messages lie.
 
         Raises:
             InputError: the bag is damaged inside.
@@ -170,9 +170,7 @@ def _open(path: Path | str) -> Bag:
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
     if begins_with(path, _ROS1):
-        raise InputError(
-            f"bag '{path}' is of ROS 1: trackslip import makes one of ours of it (docs/import.md)"
-        )
+        raise InputError(f"bag '{path}' is of ROS 1: trackslip import converts it (docs/import.md)")
     try:
         if (path / METADATA).exists():
             check_metadata(path)

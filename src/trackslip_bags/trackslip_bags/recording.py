@@ -41,13 +41,13 @@ class LogTimes:
     def __init__(self) -> None:
         self._newest_ns: dict[str, int] = {}
 
-    def log_time_ns(self, topic: str, came_ns: int) -> int:
-        """Log time of a message delivered now and received at ``came_ns``."""
-        newest_ns = self._newest_ns.get(topic, came_ns)
-        if 0 < newest_ns - came_ns < _MAX_REPAIR_NS:
+    def log_time_ns(self, topic: str, received_ns: int) -> int:
+        """Log time of a message delivered now and received at ``received_ns``."""
+        newest_ns = self._newest_ns.get(topic, received_ns)
+        if 0 < newest_ns - received_ns < _MAX_REPAIR_NS:
             return newest_ns
-        self._newest_ns[topic] = came_ns
-        return came_ns
+        self._newest_ns[topic] = received_ns
+        return received_ns
 
 
 class Losses:
@@ -126,10 +126,10 @@ class Recording:
         """Minutes until the disk is full; None if unknown."""
         return self._disk_watch.minutes_left
 
-    def write(self, topic: str, type_name: str, data: bytes, came_ns: int, sent_ns: int | None) -> None:
+    def write(self, topic: str, type_name: str, data: bytes, received_ns: int, sent_ns: int | None) -> None:
         """Write one serialized message; it counts as lost if the disk fails."""
-        came_ns = self._log_times.log_time_ns(topic, came_ns)
-        if not self._try_on_disk(partial(self.bag.write, topic, type_name, data, came_ns, sent_ns)):
+        log_time_ns = self._log_times.log_time_ns(topic, received_ns)
+        if not self._try_on_disk(partial(self.bag.write, topic, type_name, data, log_time_ns, sent_ns)):
             self.losses.add(topic, 1)
 
     def save(self) -> None:
@@ -155,12 +155,12 @@ class Recording:
 
     def _keep_to_budget(self) -> None:
         """Remove the oldest files of recordings beside the bag while they exceed ``max_disk``."""
-        bag, most, now_s = self.bag, self._settings.max_disk, time.monotonic()
-        if not most or now_s - self._trimmed_s < _TRIM_PERIOD:
+        bag, max_disk, now_s = self.bag, self._settings.max_disk, time.monotonic()
+        if not max_disk or now_s - self._trimmed_s < _TRIM_PERIOD:
             return
         self._trimmed_s = now_s
         for file in files_over_budget(
-            list(recorded_files(bag.path.parent)), most, bag.path, bag.file, time.time()
+            list(recorded_files(bag.path.parent)), max_disk, bag.path, bag.file, time.time()
         ):
             self._log.warning(f"max_disk: {file} is removed")
             bag.remove_file(file.name) if file.parent == bag.path else remove_recorded(file)
@@ -193,14 +193,14 @@ def _next_bag(settings: RecordParameters) -> BagWriter:
                 library=LIBRARY,
             )
         except InputError:
-            asked_for = candidate == path and settings.output
-            if not candidate.exists() or (asked_for and not is_recording(candidate)):
+            is_requested = candidate == path and settings.output
+            if not candidate.exists() or (is_requested and not is_recording(candidate)):
                 raise
         number += 1
         candidate = path.with_name(f"{path.name}_{number}")
 
 
 def _finished_future() -> Future[None]:
-    done: Future[None] = Future()
-    done.set_result(None)
-    return done
+    future: Future[None] = Future()
+    future.set_result(None)
+    return future

@@ -83,10 +83,10 @@ class WholeBag:
         self.files = () if self._packed else _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
-        of_files = [c for storage in _storages(self._reader) for c in storage.connections]
-        held = merge_topics({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in of_files)
+        connections = [c for storage in _storages(self._reader) for c in storage.connections]
+        recorded = merge_topics({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in connections)
         stated = merge_topics({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in self._reader.connections)
-        return merge_topics((held, stated))
+        return merge_topics((recorded, stated))
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         for storage in _storages(self._reader):
@@ -155,11 +155,11 @@ def bag_files(path: Path) -> list[Path]:
         return [path]
     files = [file for pattern in _FILES for file in path.glob(pattern) if file.is_file()]
     numbered = [(file.name.removesuffix(PACKED).rpartition("_")[2], file) for file in files]
-    found: dict[tuple[int, int], Path] = {}
+    distinct: dict[tuple[int, int], Path] = {}
     for _, file in sorted(numbered, key=lambda item: (len(item[0]), item)):
-        about = file.stat()
-        found.setdefault((about.st_dev, about.st_ino), file)  # read a file with several links once
-    return list(found.values())
+        status = file.stat()
+        distinct.setdefault((status.st_dev, status.st_ino), file)  # read a file with several links once
+    return list(distinct.values())
 
 
 def begins_with(path: Path, magic: bytes) -> bool:

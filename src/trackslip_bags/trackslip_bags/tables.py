@@ -100,25 +100,25 @@ class TopicTable:
         """
         rows = np.zeros(len(self), dtype_of(kind))
         for length in np.unique(self._lengths).tolist():
-            left = np.flatnonzero(self._lengths == length)
+            remaining = np.flatnonzero(self._lengths == length)
             for layout in self._topic.layouts(length):
-                left = left[~self._fill_matching(rows, kind, layout, left)]
-            while left.size:
-                layout_of_first = self._topic.layout_of(self.raw(int(left[0])))
+                remaining = remaining[~self._fill_matching(rows, kind, layout, remaining)]
+            while remaining.size:
+                layout_of_first = self._topic.layout_of(self.raw(int(remaining[0])))
                 if layout_of_first is None:
-                    self._fill_row(rows, kind, int(left[0]))
-                    left = left[1:]
+                    self._fill_row(rows, kind, int(remaining[0]))
+                    remaining = remaining[1:]
                 else:
-                    left = left[~self._fill_matching(rows, kind, layout_of_first, left)]
+                    remaining = remaining[~self._fill_matching(rows, kind, layout_of_first, remaining)]
         return rows
 
     def _fill_matching(
-        self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray
+        self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, candidates: IntArray
     ) -> BoolArray:
-        """Fill the rows of messages ``left`` (m,) that have this layout; returns their mask (m,)."""
-        starts = self._starts[left]
+        """Fill the rows of messages ``candidates`` (m,) that have this layout; returns their mask (m,)."""
+        starts = self._starts[candidates]
         matching = layout.matches(self._buffer, starts)
-        members, starts = left[matching], starts[matching]
+        members, starts = candidates[matching], starts[matching]
         if members.size:
             for name, (_, place) in selectors_of(kind).items():
                 try:
@@ -187,12 +187,12 @@ def read_tables(
         InputError: the bag is damaged inside.
     """
     names = {absolute_name(topic) for topic in topics}
-    known = [_Topic(bag, topic) for topic in bag.topics if absolute_name(topic) in names]
-    for found in read_stretches(bag, [topic.topic for topic in known], start_ns, stop_ns):
+    requested = [_Topic(bag, topic) for topic in bag.topics if absolute_name(topic) in names]
+    for stretch in read_stretches(bag, [topic.topic for topic in requested], start_ns, stop_ns):
         tables = {}
-        for number, topic in enumerate(known):
-            order = np.flatnonzero(found.topics == number)
+        for number, topic in enumerate(requested):
+            order = np.flatnonzero(stretch.topics == number)
             if order.size:
-                located = found.buffer, found.starts[order], found.lengths[order]
-                tables[topic.topic] = TopicTable(topic, order, found.log_times_ns[order], located)
-        yield Stretch(found.until_ns, tables)
+                located = stretch.buffer, stretch.starts[order], stretch.lengths[order]
+                tables[topic.topic] = TopicTable(topic, order, stretch.log_times_ns[order], located)
+        yield Stretch(stretch.until_ns, tables)

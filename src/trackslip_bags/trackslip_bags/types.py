@@ -29,8 +29,8 @@ _MAX_VALUES = 1_000_000  # limit of values of a message with empty lists
 def typestore() -> Typestore:
     """The process' store of types; ``ensure_type`` adds to it."""
     name = f"ros2_{ros_distro()}"
-    known = name in {store.value for store in Stores}
-    return get_typestore(Stores(name if known else f"ros2_{DEFAULT_DISTRO}"))
+    is_known = name in {store.value for store in Stores}
+    return get_typestore(Stores(name if is_known else f"ros2_{DEFAULT_DISTRO}"))
 
 
 def ensure_type(type_name: str) -> Typestore:
@@ -41,9 +41,9 @@ def ensure_type(type_name: str) -> Typestore:
     """
     store = typestore()
     if type_name not in store.fielddefs:
-        found: Typesdict = {}
-        _collect_types(type_name, store, found)
-        store.register(found)
+        types: Typesdict = {}
+        _collect_types(type_name, store, types)
+        store.register(types)
     return store
 
 
@@ -90,9 +90,9 @@ def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
         return ensure_type(type_name)
     defined = _parse(type_name, definition)
     check_finite(defined)
-    own = get_typestore(Stores.EMPTY)
-    own.register(defined)
-    return own
+    store = get_typestore(Stores.EMPTY)
+    store.register(defined)
+    return store
 
 
 def decode(store: Typestore, raw: bytes | memoryview, type_name: str) -> Any:
@@ -135,17 +135,17 @@ def check_finite(types: Typesdict) -> None:
     Raises:
         ValueError: a type is recursive or too large.
     """
-    known: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for name in types:
-        if _count_values(name, types, known) > _MAX_VALUES:
+        if _count_values(name, types, counts) > _MAX_VALUES:
             raise ValueError(f"type {name}: too large; accepted: up to {_MAX_VALUES} values of fixed number")
 
 
-def _count_values(name: str, types: Typesdict, known: dict[str, int], inside: tuple[str, ...] = ()) -> int:
-    """Minimum number of values in a message of a type; ``known`` caches the numbers of other types."""
+def _count_values(name: str, types: Typesdict, counts: dict[str, int], inside: tuple[str, ...] = ()) -> int:
+    """Minimum number of values in a message of a type; ``counts`` caches the numbers of other types."""
     if name in inside:
         raise ValueError(f"type {name}: it contains itself; accepted: a type of others")
-    if name not in known:
+    if name not in counts:
         values = 1
         for _, description in types[name][1] if name in types else ():
             (kind, detail), size = field_parts(description), 1
@@ -153,14 +153,16 @@ def _count_values(name: str, types: Typesdict, known: dict[str, int], inside: tu
                 inner, count = detail
                 size = int(count) if kind == Nodetype.ARRAY else 0
                 kind, detail = inner
-            of_one = _count_values(str(detail), types, known, (*inside, name)) if kind == Nodetype.NAME else 1
-            values += size * of_one
-        known[name] = values
-    return known[name]
+            per_item = (
+                _count_values(str(detail), types, counts, (*inside, name)) if kind == Nodetype.NAME else 1
+            )
+            values += size * per_item
+        counts[name] = values
+    return counts[name]
 
 
-def _collect_types(type_name: str, store: Typestore, found: Typesdict) -> None:
-    """Add to ``found`` the type and its inner types that are not in ``store``."""
+def _collect_types(type_name: str, store: Typestore, types: Typesdict) -> None:
+    """Add to ``types`` the type and its inner types that are not in ``store``."""
     path = msg_file(type_name)
     if path is None:
         raise InputError(
@@ -168,12 +170,12 @@ def _collect_types(type_name: str, store: Typestore, found: Typesdict) -> None:
             "with share/package/msg/Name.msg on AMENT_PREFIX_PATH"
         )
     try:
-        found |= get_types_from_msg(path.read_text(encoding="utf-8"), type_name)
+        types |= get_types_from_msg(path.read_text(encoding="utf-8"), type_name)
     except (OSError, UnicodeDecodeError, TypesysError) as error:
         raise InputError(f"{path}: not a message definition ({' '.join(str(error).split())})") from error
-    for inner in _inner_types(found, type_name):
-        if inner not in store.fielddefs and inner not in found:
-            _collect_types(inner, store, found)
+    for inner in _inner_types(types, type_name):
+        if inner not in store.fielddefs and inner not in types:
+            _collect_types(inner, store, types)
 
 
 def _inner_types(types: Typesdict, name: str) -> list[str]:

@@ -24,18 +24,18 @@ def _stored(data: bytes, _: int) -> bytes:
     return data
 
 
-def _zstd(data: bytes, most: int) -> bytes:
-    content: bytes = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(most)
+def _zstd(data: bytes, max_size: int) -> bytes:
+    content: bytes = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(max_size)
     return content
 
 
-def _lz4(data: bytes, most: int) -> bytes:
-    content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
+def _lz4(data: bytes, max_size: int) -> bytes:
+    content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=max_size)
     return content
 
 
-def _bz2(data: bytes, most: int) -> bytes:
-    return bz2.BZ2Decompressor().decompress(data, max_length=most)
+def _bz2(data: bytes, max_size: int) -> bytes:
+    return bz2.BZ2Decompressor().decompress(data, max_length=max_size)
 
 
 _KINDS: Mapping[str, Callable[[bytes, int], bytes]] = MappingProxyType(
@@ -43,7 +43,7 @@ _KINDS: Mapping[str, Callable[[bytes, int], bytes]] = MappingProxyType(
 )
 
 
-def decompress(data: bytes, compression: str, size: int) -> bytes:
+def decompress(data: bytes, size: int, compression: str) -> bytes:
     """The decompressed content of a chunk with the stated ``size``, bytes.
 
     Raises:
@@ -65,7 +65,7 @@ def decompress_chunk(chunk: Chunk) -> Chunk:
     Raises:
         ValueError: as ``decompress``.
     """
-    data = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
+    data = decompress(chunk.data, chunk.uncompressed_size, chunk.compression)
     return replace(chunk, compression="", data=data)
 
 
@@ -97,21 +97,21 @@ def decompress_file(path: Path, output: IO[bytes] | None = None) -> None:
         ValueError: the size exceeds ``MAX_SIZE`` and ``_RATIO`` times the file's size.
     """
     packed = path.stat().st_size
-    most, size = max(MAX_SIZE, _RATIO * packed), 0
+    limit, size = max(MAX_SIZE, _RATIO * packed), 0
     with path.open("rb") as file:
         stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
         while piece := stream.read(_PIECE):
             size += len(piece)
             if output is not None:
                 output.write(piece)
-            if size > most:
-                raise ValueError(f"{path.name}: {packed} bytes that unpack to more than {most / 1e6:.0f} MB")
+            if size > limit:
+                raise ValueError(f"{path.name}: {packed} bytes that unpack to more than {limit / 1e6:.0f} MB")
 
 
 def limit_rosbags() -> None:
     """Make rosbags, which has no limit, decompress chunks by ``decompress``."""
     for kind in _KINDS:
-        storage_mcap.DECOMPRESSORS[kind] = partial(_decompress_named, kind)
+        storage_mcap.DECOMPRESSORS[kind] = partial(decompress, compression=kind)
 
 
 def ros1_decompressors() -> dict[str, Callable[[bytes], bytes]]:
@@ -119,7 +119,3 @@ def ros1_decompressors() -> dict[str, Callable[[bytes], bytes]]:
     return {
         kind: partial(_decompress_limited, "chunk", unpack) for kind, unpack in (("bz2", _bz2), ("lz4", _lz4))
     }
-
-
-def _decompress_named(compression: str, data: bytes, size: int) -> bytes:
-    return decompress(data, compression, size)

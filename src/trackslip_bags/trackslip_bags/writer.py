@@ -80,7 +80,7 @@ class BagWriter:
         self._library = library
         self.topics: dict[str, Topic] = {}
         self._extents: dict[str, Extent] = {}  # by file name
-        self._counts_before: list[dict[str, int]] = []  # messages per topic at the begin of each file
+        self._counts_before: list[dict[str, int]] = []  # messages per topic at the start of each file
         self._removed: Counter[str] = Counter()  # messages per topic in removed files
         self._chunk_start_ns: int | None = None
         self._saved: dict[str, int] = {}  # counts at the last flush
@@ -193,8 +193,8 @@ class BagWriter:
         if self._file.closed:
             return
         self._file.close()
-        left = {n: replace(t, count=t.count - self._removed[n]) for n, t in self.topics.items()}
-        text = metadata_text(left, self._extents, self.distro)
+        remaining = {n: replace(t, count=t.count - self._removed[n]) for n, t in self.topics.items()}
+        text = metadata_text(remaining, self._extents, self.distro)
         replace_atomically(self.path / METADATA, text)
 
     def abandon(self) -> None:
@@ -274,9 +274,9 @@ class _File:
         if key not in self._schemas:
             schema = topic.schema
             self._schemas[key] = self._mcap.register_schema(topic.type_name, schema.encoding, schema.data)
-        about = {"offered_qos_profiles": topic.qos_yaml, "topic_type_hash": topic.schema.type_hash}
+        metadata = {"offered_qos_profiles": topic.qos_yaml, "topic_type_hash": topic.schema.type_hash}
         self._channels[name] = self._mcap.register_channel(
-            name, MessageEncoding.CDR, self._schemas[key], about
+            name, MessageEncoding.CDR, self._schemas[key], metadata
         )
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -312,9 +312,9 @@ def own_schema(type_name: str) -> Schema:
     Raises:
         InputError: there is no definition.
     """
-    found = installed_schema(type_name)
-    if found is None:
+    schema = installed_schema(type_name)
+    if schema is None:
         from trackslip_bags.types import known_schema  # needs rosbags, which is not on the vehicle
 
-        found = known_schema(type_name)
-    return found
+        schema = known_schema(type_name)
+    return schema

@@ -3,9 +3,8 @@
 """Samples of other robots' bags by a mapping: ROS 2 (MCAP, SQLite) and ROS 1; with stamps and log times."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -64,17 +63,17 @@ def _read_samples(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) 
     return [collector.samples(local) for collector in collectors]
 
 
-def _type_of(log: RobotLog, topic: BagTopic, types: dict[str, str] | Any) -> str:
+def _type_of(log: RobotLog, topic: BagTopic, types: Mapping[str, str]) -> str:
     """The type of a topic; it must be one that its role accepts."""
     source = absolute_name(topic.source)
     if source not in types:
         like, there = did_you_mean(source, types), ", ".join(sorted(types)) or "nothing"
         raise InputError(f"{topic.where}.from: no topic '{source}' in {log.path}{like}; it holds: {there}")
-    found: str = types[source]
-    if (topic.role, found) not in READERS:
+    type_name = types[source]
+    if (topic.role, type_name) not in READERS:
         accepted = ", ".join(ROLES[topic.role].messages)
-        raise InputError(f"{topic.where}.from: {source} is a {found}; accepted: {accepted}")
-    return found
+        raise InputError(f"{topic.where}.from: {source} is a {type_name}; accepted: {accepted}")
+    return type_name
 
 
 class _Collector:
@@ -112,7 +111,7 @@ class _Collector:
             return
         for reading in self._read_message(content, self.topic):
             stamp_ns = message.log_time_ns
-            if self.topic.stamped and reading.header is not None:
+            if self.topic.uses_header and reading.header is not None:
                 stamp = reading.header.stamp
                 stamp_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec) or message.log_time_ns
             stamp_ns += self.topic.time_offset_ns
@@ -156,8 +155,8 @@ class _Collector:
             asked = ", ".join(requested) + ("" if topic.joints else f" (no {keys} in the mapping)")
             there = ", ".join(self._unused_joints)
             if self._left_out[PARTIAL] and set(requested) <= self._unused_joints.keys():
-                what = f"no message of {topic.source}, and no messages of one stamp, hold {asked} together"
-                return f"{topic.where}: {what}; accepted: joints in one message, or with one stamp"
+                fault = f"no message of {topic.source}, and no messages of one stamp, hold {asked} together"
+                return f"{topic.where}: {fault}; accepted: joints in one message, or with one stamp"
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())
         child = f" of child frame '{topic.child_frame}'" if topic.child_frame else ""

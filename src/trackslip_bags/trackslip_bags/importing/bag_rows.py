@@ -75,15 +75,15 @@ def _read_joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
     sides = sides_of(topic)
     at = {name: k for k, name in enumerate(message.name)}
     row: list[float] = []
-    found = False
+    has_values = False
     has_joints = all(name in at for side in sides for name in side.names)
     for values, use in ((message.velocity, "velocities"), (message.position, "positions")):
-        known = has_joints and topic.uses in ("both", use) and len(values) == len(at)
+        is_known = has_joints and topic.uses in ("both", use) and len(values) == len(at)
         for side in sides:
-            own = [float(values[at[name]]) if known else math.nan for name in side.names]
-            found |= all(map(math.isfinite, own))
-            row += own
-    defect = "" if found else "has no finite values" if has_joints else NO_JOINTS
+            numbers = [float(values[at[name]]) if is_known else math.nan for name in side.names]
+            has_values |= all(map(math.isfinite, numbers))
+            row += numbers
+    defect = "" if has_values else "has no finite values" if has_joints else NO_JOINTS
     yield Reading(message.header, tuple(row), defect)
 
 
@@ -172,9 +172,9 @@ def _read_fix(message: Any, topic: BagTopic) -> Iterator[Reading]:
         float(message.status.status),
     )
     is_at_origin = message.latitude == message.longitude == 0.0
-    without = topic.role == "pose" and (message.status.status < 0 or is_at_origin)
+    has_no_fix = topic.role == "pose" and (message.status.status < 0 or is_at_origin)
     finite = math.isfinite(row[0]) and math.isfinite(row[1])
-    yield Reading(message.header, row, NO_FIX if without or not finite else "")
+    yield Reading(message.header, row, NO_FIX if has_no_fix or not finite else "")
 
 
 def _read_odometry(message: Any, topic: BagTopic) -> Iterator[Reading]:
@@ -219,15 +219,15 @@ def rejections(
     """
     if topic.role != "pose":
         return
-    covariance, left = _pose_covariance(rows, topic, type_name), np.ones(len(rows), np.bool_)
+    covariance, remaining = _pose_covariance(rows, topic, type_name), np.ones(len(rows), np.bool_)
     for k, axis in enumerate(("x", "y")):
-        missing = left & ~_is_variance(covariance[:, k, k])
-        left &= ~missing
-        if not left.any():
+        missing = remaining & ~_is_variance(covariance[:, k, k])
+        remaining &= ~missing
+        if not remaining.any():
             raise InputError(_no_variance_text(topic, axis))
         yield f"no variance of {axis} above 0", missing
     if type_name == FIX:
-        at = np.flatnonzero(left)
+        at = np.flatnonzero(remaining)
         for reason, rejected in local.rejections(rows[at, :3], f"{topic.where}: {topic.source}"):
             yield reason, np.isin(np.arange(len(rows)), at[rejected])
 
@@ -289,12 +289,12 @@ def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Val
 
 def _side_means(joints: FloatArray, topic: BagTopic) -> FloatArray:
     """(n, sides) of (n, joints), each side's mean times its ratio."""
-    found, begin = [], 0
+    means, begin = [], 0
     for side in sides_of(topic):
         end = begin + len(side.names)
-        found.append(sum(joints[:, begin:end].T) / len(side.names) * side.ratio)
+        means.append(sum(joints[:, begin:end].T) / len(side.names) * side.ratio)
         begin = end
-    return np.column_stack(found)
+    return np.column_stack(means)
 
 
 def _heading_values(rows: FloatArray, topic: BagTopic) -> Values:
@@ -319,17 +319,17 @@ def _velocity_values(rows: FloatArray, topic: BagTopic) -> Values:
 
 def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:
     names, sizes = ("rate", "acceleration", "orientation"), (3, 3, 4)
-    found: Values = {}
+    values: Values = {}
     begin = 0
     for name, size in zip(names, sizes, strict=True):
-        found[name] = rows[:, begin : begin + size]
-        found[f"{name}_covariance"] = rows[:, begin + size : begin + size + 9].reshape(-1, 3, 3)
+        values[name] = rows[:, begin : begin + size]
+        values[f"{name}_covariance"] = rows[:, begin + size : begin + size + 9].reshape(-1, 3, 3)
         begin += size + 9
     for axis, spread in topic.spreads.items():
         key = "rate" if axis.startswith("angular") else "acceleration"
         k = "xyz".index(axis[-1])
-        found[f"{key}_covariance"][:, k, k] = _variance_of(spread)
-    return found
+        values[f"{key}_covariance"][:, k, k] = _variance_of(spread)
+    return values
 
 
 def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame) -> Values:
@@ -342,10 +342,10 @@ def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: Local
     if topic.position_only:
         pose[:, 2] = np.nan
     has_heading = np.isfinite(pose[:, 2])
-    known = _is_variance(covariance[:, 2, 2])
-    if has_heading.any() and not (has_heading & known).any():
+    has_variance = _is_variance(covariance[:, 2, 2])
+    if has_heading.any() and not (has_heading & has_variance).any():
         raise InputError(_no_variance_text(topic, "yaw"))
-    covariance[~known, 2, 2] = np.nan
+    covariance[~has_variance, 2, 2] = np.nan
     return without_heading(pose, covariance)
 
 
@@ -365,8 +365,8 @@ def _pose_covariance(rows: FloatArray, topic: BagTopic, type_name: str) -> Float
 
 def _is_variance(values: FloatArray) -> BoolArray:
     """(n,) whether values are finite and above 0."""
-    found: BoolArray = np.isfinite(values) & (values > 0.0)
-    return found
+    is_variance: BoolArray = np.isfinite(values) & (values > 0.0)
+    return is_variance
 
 
 def _no_variance_text(topic: BagTopic, axis: str) -> str:

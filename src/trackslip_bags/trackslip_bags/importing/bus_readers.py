@@ -42,13 +42,13 @@ class _AbsoluteLines:
         is_relative, now = False, 0.0
         for line in self._text:
             is_relative |= _RELATIVE.match(line) is not None
-            if found := _DATE.match(line):
-                now = 0.0 if found["block"] else now
-                if not self._is_date(found["date"].strip()):
+            if match := _DATE.match(line):
+                now = 0.0 if match["block"] else now
+                if not self._is_date(match["date"].strip()):
                     continue
-            elif is_relative and (found := _TIME.match(line)):
-                now += float(found[1])
-                line = f"{now:.6f}{line[found.end() :]}"
+            elif is_relative and (match := _TIME.match(line)):
+                now += float(match[1])
+                line = f"{now:.6f}{line[match.end() :]}"
             yield line
 
     def _is_date(self, date: str) -> bool:

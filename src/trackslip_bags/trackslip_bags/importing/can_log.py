@@ -37,7 +37,7 @@ _NS_PER_S = 1_000_000_000
 
 
 def read_can_logs(
-    paths: Sequence[Path], given: CanSection, vehicle: VehicleParameters | None
+    paths: Sequence[Path], section: CanSection, vehicle: VehicleParameters | None
 ) -> tuple[list[Samples], list[str]]:
     """Samples of each topic that has roles, and notes on rejected frames.
 
@@ -47,14 +47,14 @@ def read_can_logs(
     defaults = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     p = replace(defaults, vehicle=vehicle or defaults.vehicle)
     tally = Tally()
-    frames = FrameSet(given.dbc, given.roles, p.vehicle)
+    frames = FrameSet(section.dbc, section.roles, p.vehicle)
     bus = ExcavatorCan(p, frames, tally)
     carriers: dict[str, set[str]] = {}  # frame with a role → its channels
     samples: list[Sample] = []
     notes: list[str] = []
     count = 0
     channels: set[str] = set()
-    logs = [_read_frames(path, given, notes, channels) for path in paths]
+    logs = [_read_frames(path, section, notes, channels) for path in paths]
     with _WarningCounter() as unread:
         for arbitration_id, data, stamp_ns, channel in heapq.merge(*logs, key=itemgetter(2)):
             count += 1
@@ -64,12 +64,12 @@ def read_can_logs(
     names = ", ".join(path.name for path in paths)
     if unread.count:
         notes.append(f"{names}: {unread.count} line{'s' * (unread.count > 1)} cannot be read")
-    for frame, of_frame in carriers.items():
-        if len(of_frame) > 1:
-            several = f"frame '{frame}' comes on channels {joined_names(sorted(of_frame))}"
-            raise InputError(f"{given.where}: {names}: {several}; accepted: channel: one of them")
+    for frame, of_carrier in carriers.items():
+        if len(of_carrier) > 1:
+            fault = f"frame '{frame}' comes on channels {joined_names(sorted(of_carrier))}"
+            raise InputError(f"{section.where}: {names}: {fault}; accepted: channel: one of them")
     if ambiguous := bus.decoder.ambiguous_source_message():
-        raise InputError(f"{given.where}: {names}: {ambiguous}")
+        raise InputError(f"{section.where}: {names}: {ambiguous}")
     rejected = [
         f"{names}: {source}: {n} × {reason}"
         for source, reasons in tally.by_source().items()
@@ -77,14 +77,14 @@ def read_can_logs(
     ]
     if not samples:
         reason = bus.decoder.no_role_message() or "; ".join([f"{count} frames give no sample", *rejected])
-        if given.channel is not None and given.channel not in channels:
+        if section.channel is not None and section.channel not in channels:
             reason = (
-                f"no frame of channel '{given.channel}', but of {joined_names(sorted(channels)) or 'none'}"
+                f"no frame of channel '{section.channel}', but of {joined_names(sorted(channels)) or 'none'}"
             )
-        raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
+        raise InputError(f"{section.where}: {names}: {reason}; accepted: frames that have roles")
     notes += rejected
-    found = [[one for one in samples if type(one) is kind] for kind in _TOPICS]
-    return [_samples(topic, names) for topic in found if topic], notes
+    by_topic = [[sample for sample in samples if type(sample) is kind] for kind in _TOPICS]
+    return [_samples(topic, names) for topic in by_topic if topic], notes
 
 
 class _WarningCounter(logging.Handler):
@@ -110,7 +110,7 @@ class _WarningCounter(logging.Handler):
 
 
 def _read_frames(
-    path: Path, given: CanSection, notes: list[str], channels: set[str]
+    path: Path, section: CanSection, notes: list[str], channels: set[str]
 ) -> Iterator[tuple[int, bytes, int, str]]:
     """(id with its flags, payload, ns, channel) of each data frame of a log; fills ``channels``."""
     _, words = kind_of(path)
@@ -119,9 +119,9 @@ def _read_frames(
         with _open(path, words, notes) as log:
             for message in log:
                 channels.add(str(message.channel))
-                if given.channel is not None and str(message.channel) != given.channel:
+                if section.channel is not None and str(message.channel) != section.channel:
                     continue
-                stamp_ns = round(message.timestamp * _NS_PER_S) + given.offset_ns
+                stamp_ns = round(message.timestamp * _NS_PER_S) + section.offset_ns
                 if not 0 <= stamp_ns < LIMIT_NS:
                     raise InputError(
                         f"{path}: a frame at {stamp_ns / _NS_PER_S:.3f} s; accepted: 0 to 2^31 s (start)"
@@ -180,11 +180,11 @@ def _open_mf4(path: Path) -> Any:
     raise InputError(f"{path}: {reason}")
 
 
-def _samples(found: Sequence[Any], source: str) -> Samples:
+def _samples(samples: Sequence[Any], source: str) -> Samples:
     """Samples of one kind, in order of their stamps."""
-    topic = _TOPICS[type(found[0])]
-    columns = np.array([one[1:] for one in found], np.float64)
-    stamps_ns = np.array([one.stamp_ns for one in found], np.int64)
+    topic = _TOPICS[type(samples[0])]
+    columns = np.array([sample[1:] for sample in samples], np.float64)
+    stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
     values: Values
     if topic == "sprockets":
         values = {"position": columns[:, :2], "velocity": columns[:, 2:]}

@@ -119,10 +119,10 @@ def read_time(where: str, value: Any) -> TimeColumn:
 
 def zone_offset_ns(zone: str) -> int | None:
     """Offset of ``Z`` or ``+02:00``, ns east of Greenwich; None for anything else."""
-    found = _ZONE.fullmatch(zone)
-    if found is None:
+    match = _ZONE.fullmatch(zone)
+    if match is None:
         return None
-    sign, hours, minutes = found.groups()
+    sign, hours, minutes = match.groups()
     seconds = 0 if sign is None else (int(hours) * 60 + int(minutes)) * 60
     return (-seconds if sign == "-" else seconds) * 1_000_000_000
 
@@ -133,21 +133,21 @@ def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -
     Raises:
         InputError: a key, unit or value is not accepted, or an axis is stated twice.
     """
-    found: dict[str, Spread] = {}
+    spreads: dict[str, Spread] = {}
     stddevs = section(f"{where}.stddev", tree.get("stddev", {}))
     check_keys(f"{where}.stddev", stddevs, (), axes)
     for axis, value in stddevs.items():
-        found[axis] = Spread(_read_stddev(f"{where}.stddev.{axis}", value, axes[axis]), is_stddev=True)
+        spreads[axis] = Spread(_read_stddev(f"{where}.stddev.{axis}", value, axes[axis]), is_stddev=True)
     pairs = {**axes, **({"xy": axes["x"]} if "x" in axes else {})}
     covariances = section(f"{where}.covariance", tree.get("covariance", {}))
     check_keys(f"{where}.covariance", covariances, (), pairs)
     for axis, value in covariances.items():
-        if axis in found:
+        if axis in spreads:
             raise InputError(f"{where}.covariance.{axis}: stddev has it too; accepted: one of the two")
-        found[axis] = Spread(
+        spreads[axis] = Spread(
             _read_variance(f"{where}.covariance.{axis}", value, pairs[axis]), is_stddev=False
         )
-    return found
+    return spreads
 
 
 def _read_stddev(where: str, value: Any, quantity: str) -> float | Column:

@@ -65,18 +65,18 @@ def _sprocket_values(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> V
 
 
 def _imu_values(columns: Values, spreads: Values) -> Values:
-    found: Values = {}
+    values: Values = {}
     count = len(next(iter(columns.values())))
     for key, name in (("rate", "angular_velocity"), ("acceleration", "linear_acceleration")):
         axes = [f"{name}_{axis}" for axis in "xyz"]
         nothing, covariance = np.full(count, np.nan), np.zeros((count, 3, 3))
         for k, axis in enumerate(axes):
             covariance[:, k, k] = spreads.get(axis, 0.0)
-        found[key] = np.column_stack([columns.get(axis, nothing) for axis in axes])
-        found[f"{key}_covariance"] = covariance
-    found["orientation"] = np.full((count, 4), np.nan)
-    found["orientation_covariance"] = np.zeros((count, 3, 3))
-    return found
+        values[key] = np.column_stack([columns.get(axis, nothing) for axis in axes])
+        values[f"{key}_covariance"] = covariance
+    values["orientation"] = np.full((count, 4), np.nan)
+    values["orientation_covariance"] = np.zeros((count, 3, 3))
+    return values
 
 
 def _pose_values(columns: Values, spreads: Values, local: LocalFrame) -> Values:
@@ -119,17 +119,18 @@ def _heading_values(columns: Values, spreads: Values) -> Values:
 
 def _fix_values(columns: Values, spreads: Values) -> Values:
     place = place_of(columns)
-    covariance, known = np.zeros((len(place), 3, 3)), np.full(len(place), "x" in spreads and "y" in spreads)
+    covariance = np.zeros((len(place), 3, 3))
+    is_known = np.full(len(place), "x" in spreads and "y" in spreads)
     for k, axis in enumerate("xyz"):
         covariance[:, k, k] = spreads.get(axis, UNOBSERVED)
     covariance[:, 0, 1] = covariance[:, 1, 0] = spreads.get("xy", 0.0)
-    known &= np.isfinite(covariance).all(axis=(1, 2))
-    covariance[~known] = 0.0
+    is_known &= np.isfinite(covariance).all(axis=(1, 2))
+    covariance[~is_known] = 0.0
     status = columns.get("status", np.zeros(len(place)))
     if "quality" in columns:
         quality = np.nan_to_num(columns["quality"], nan=_NO_FIX).astype(int)
         status = np.array([_STATUS_OF_QUALITY.get(one, -1) for one in quality.tolist()], np.float64)
-    kind = np.where(known, _FULL if "xy" in spreads else _DIAGONAL, 0)
+    kind = np.where(is_known, _FULL if "xy" in spreads else _DIAGONAL, 0)
     return {
         "place": place,
         "covariance": covariance,
@@ -147,10 +148,10 @@ def _velocity_values(columns: Values, spreads: Values) -> Values:
     else:
         x, y = columns["east"], columns["north"]
     unknown = np.zeros(len(x))
-    of_x = np.nan_to_num(spreads.get("x", unknown), nan=0.0)
-    of_y = np.nan_to_num(spreads.get("y", unknown), nan=0.0)
-    of_y = np.full(len(x), UNOBSERVED) if "forward" in columns else of_y
-    return {"velocity": np.column_stack((x, y)), "variances": np.column_stack((of_x, of_y))}
+    variance_x = np.nan_to_num(spreads.get("x", unknown), nan=0.0)
+    variance_y = np.nan_to_num(spreads.get("y", unknown), nan=0.0)
+    variance_y = np.full(len(x), UNOBSERVED) if "forward" in columns else variance_y
+    return {"velocity": np.column_stack((x, y)), "variances": np.column_stack((variance_x, variance_y))}
 
 
 def _odometry_values(columns: Values) -> Values:

@@ -42,8 +42,8 @@ def read_csv_logs(
         path: read_table(path, _requested([topic for topic in topics if files[topic.name] == path]))
         for path in dict.fromkeys(files.values())
     }
-    found = [_samples(tables[files[topic.name]], topic, start_ns, local) for topic in topics]
-    return found, [note for table in tables.values() for note in table.notes]
+    samples = [_samples(tables[files[topic.name]], topic, start_ns, local) for topic in topics]
+    return samples, [note for table in tables.values() for note in table.notes]
 
 
 def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
@@ -53,11 +53,11 @@ def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
         if len(paths) > 1:
             raise InputError(f"{topic.where}: key 'file' is missing; accepted: a name or pattern of {names}")
         return paths[0]
-    found = [path for path in paths if fnmatch(path.name, topic.file)]
-    if len(found) != 1:
-        many = "several files" if found else "no file"
-        raise InputError(f"{topic.where}.file: {many} '{topic.file}'; accepted: a pattern of one of {names}")
-    return found[0]
+    matching = [path for path in paths if fnmatch(path.name, topic.file)]
+    if len(matching) != 1:
+        fault = "several files" if matching else "no file"
+        raise InputError(f"{topic.where}.file: {fault} '{topic.file}'; accepted: a pattern of one of {names}")
+    return matching[0]
 
 
 def _requested(topics: Sequence[CsvTopic]) -> Requested:
@@ -112,10 +112,10 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     if "latitude" in columns:
         chosen.reject(_is_at_origin(table, topic, columns), "latitude and longitude are 0")
     if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
-        left = np.flatnonzero(chosen.rows)
-        rejected = local.rejections(place_of(columns)[left], f"{topic.where}: {table.path}")
+        remaining = np.flatnonzero(chosen.rows)
+        rejected = local.rejections(place_of(columns)[remaining], f"{topic.where}: {table.path}")
         for reason, which in rejected:
-            chosen.reject(np.isin(np.arange(len(chosen.rows)), left[which]), reason)
+            chosen.reject(np.isin(np.arange(len(chosen.rows)), remaining[which]), reason)
     rows = chosen.rows
     _check_times(table, topic, stamps_ns[rows])
     if not rows.any():
@@ -142,8 +142,9 @@ def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
             "accepted: times that tell rows apart (were digits lost as the file was written?)"
         )
     if shared := len(stamps_ns) - distinct:
-        of_all = f"{shared} of {len(stamps_ns)} rows"
-        table.notes.append(f"{topic.name}: {of_all} share a time with the row before")
+        table.notes.append(
+            f"{topic.name}: {shared} of {len(stamps_ns)} rows share a time with the row before"
+        )
 
 
 def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Values) -> None:
@@ -197,19 +198,19 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
         name: [_sum_increments(_replace_missing(table.numbers[n], column), column) for n in column.names]
         for name, column in topic.columns.items()
     }
-    found = {name: _to_si(numbers[name], column, topic) for name, column in topic.columns.items()}
+    si_values = {name: _to_si(numbers[name], column, topic) for name, column in topic.columns.items()}
     timed = stamps_ns != NO_TIME
     for side in SIDES if topic.role == "sprockets" else ():
         column = topic.columns.get(f"{side}_position")
         if column is None or not column.factor or column.increments:
             continue
-        speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
+        speeds = si_values.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
         turned = [
             _unwrap_angle(table, name, values, column.turn, timed, stamps_ns, speeds)
             for name, values in zip(column.names, numbers[f"{side}_position"], strict=True)
         ]
-        found[f"{side}_position"] = _to_si(turned, column, topic)
-    return found
+        si_values[f"{side}_position"] = _to_si(turned, column, topic)
+    return si_values
 
 
 def _unwrap_angle(
@@ -228,14 +229,14 @@ def _unwrap_angle(
     known = values[np.isfinite(values)]
     counters = _COUNTERS if (known == np.round(known)).all() else ()
     for modulus in (*((turn,) if turn else ()), *counters):
-        found = values.copy()
-        found[timed] = unwrap_angles(stamps_ns[timed], values[timed], speeds[timed], modulus)
-        if not np.array_equal(found, values, equal_nan=True):
+        unwrapped = values.copy()
+        unwrapped[timed] = unwrap_angles(stamps_ns[timed], values[timed], speeds[timed], modulus)
+        if not np.array_equal(unwrapped, values, equal_nan=True):
             if modulus != turn:
                 table.notes.append(
                     f"column '{name}' restarts after {modulus:.0f}: a counter; made continuous"
                 )
-            return found
+            return unwrapped
     return values
 
 
@@ -244,10 +245,10 @@ def _to_si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> Fl
     values: FloatArray = np.mean(numbers, axis=0)
     known = values[np.isfinite(values)]
     origin = float(column.origin) if column.origin != FIRST else float(known[0]) if known.size else 0.0
-    found: FloatArray = (values - origin) * column.factor
+    scaled: FloatArray = (values - origin) * column.factor
     if topic.role == "sprockets" and topic.geometry is not None and column is not topic.columns.get("speed"):
-        found = found / topic.geometry.rolling_radius if column.quantity in ("speed", "length") else found
-    return found
+        scaled = scaled / topic.geometry.rolling_radius if column.quantity in ("speed", "length") else scaled
+    return scaled
 
 
 def _variance(table: Table, spread: Spread) -> FloatArray:
@@ -305,18 +306,18 @@ def _is_new(table: Table, topic: CsvTopic) -> BoolArray:
 
     The first row does not count as a change: the age of its value is unknown.
     """
-    found = np.zeros(len(table.lines), np.bool_)
+    is_new = np.zeros(len(table.lines), np.bool_)
     if topic.new_when_changes is None:
-        return ~found
+        return ~is_new
     marks = table.texts[topic.new_when_changes]
-    given = np.flatnonzero(marks != "")
-    found[given[1:]] = marks[given[1:]] != marks[given[:-1]]
-    if not found.any():
+    marked = np.flatnonzero(marks != "")
+    is_new[marked[1:]] = marks[marked[1:]] != marks[marked[:-1]]
+    if not is_new.any():
         raise InputError(
             f"{table.path}: column '{topic.new_when_changes}' never changes; "
             "accepted as new_when_changes: one that does"
         )
-    return found
+    return is_new
 
 
 def _is_at_origin(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> BoolArray:

@@ -125,6 +125,7 @@ class _Reader:
         self._path, self._requested = path, requested
         first = list(islice(lines, _HEAD))
         self._head: Head = find_head(path, first, requested.dialect, requested.names)
+        self._delimiter = "\t" if self._head.delimiter == BLANKS else self._head.delimiter  # of ``_rows``
         self._numbered = enumerate(chain(first[self._head.line :], lines), self._head.line + 1)
         self._short: tuple[int, str] | None = None
         for name in requested.names:
@@ -176,7 +177,7 @@ class _Reader:
 
     def _parsed(self, rows: list[tuple[int, str]]) -> _Block | None:
         """The cells of rows, as many as names in each; a truncated last row is left out."""
-        delimiter = "\t" if self._head.delimiter == BLANKS else self._head.delimiter
+        delimiter = self._delimiter
         width = len(self._head.names)
         counts = pl.Series([text for _, text in rows]).str.count_matches(delimiter, literal=True) + 1
         if rows and self._short is not None:
@@ -225,21 +226,21 @@ class _Reader:
         bad = (~is_blank & ~values.is_finite().fill_null(value=False)).arg_true()
         if len(bad):
             raise self._cell_error(block.lines[bad[0]], name, cells[bad[0]], "a finite number")
-        found: FloatArray = values.to_numpy().astype(np.float64)
-        return np.where(is_blank.to_numpy(), np.nan, found)
+        numbers: FloatArray = values.to_numpy().astype(np.float64)
+        return np.where(is_blank.to_numpy(), np.nan, numbers)
 
     def _times(self, block: _Block, column: TimeColumn) -> IntArray:
         """(rows,) ns, exactly; NO_TIME for blank cells."""
-        found = np.empty(len(block.lines), np.int64)
+        times_ns = np.empty(len(block.lines), np.int64)
         parts = [block.cells[name].to_list() for name in column.names]
         for k, cells in enumerate(zip(*parts, strict=True)):
             try:
                 is_blank = cells[0].lower() in _BLANK
-                found[k] = NO_TIME if is_blank else time_ns(self._with_decimal_points(cells), column)
+                times_ns[k] = NO_TIME if is_blank else time_ns(self._with_decimal_points(cells), column)
             except ValueError:
                 names, cell = " + ".join(column.names), " ".join(cells)
                 raise self._cell_error(block.lines[k], names, cell, accepted_text(cell, column)) from None
-        return found
+        return times_ns
 
     def _with_decimal_points(self, cells: Sequence[str]) -> Sequence[str]:
         return [cell.replace(",", ".") for cell in cells] if self._requested.dialect.decimal_comma else cells
@@ -247,7 +248,7 @@ class _Reader:
     def _is_units(self, text: str) -> bool:
         """Whether a line below the names holds units: requested cells hold no values, and some hold words."""
         try:
-            row = split_cells(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter)
+            row = split_cells(text, self._delimiter)
         except csv.Error:
             return False
         if len(row) < len(self._head.names):
@@ -274,7 +275,7 @@ class _Reader:
 
     def _row_error(self, line: int, text: str) -> InputError:
         names = self._head.names
-        count = len(split_cells(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter))
+        count = len(split_cells(text, self._delimiter))
         has = f"{self._path}: line {line} has {count} cells, the header {len(names)}"
         comma = self._head.delimiter == "," and count > len(names)
         return InputError(f"{has}{' (decimal commas?)' if comma else ''}; accepted: as many as the header")

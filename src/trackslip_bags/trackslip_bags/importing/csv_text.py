@@ -130,9 +130,9 @@ def find_head(path: Path, lines: list[str], dialect: Dialect, requested: Collect
     Raises:
         InputError: there are only values, and the mapping has no names.
     """
-    found = _SEPARATOR.fullmatch(lines[0].strip()) if lines else None
-    stated = dialect.delimiter or (found[1] if found else "")
-    first = 1 if found else 0
+    match = _SEPARATOR.fullmatch(lines[0].strip()) if lines else None
+    stated = dialect.delimiter or (match[1] if match else "")
+    first = 1 if match else 0
     if dialect.names:
         rows = [line for line in lines[first:] if line.strip() and not line.lstrip().startswith(COMMENT)]
         guess = _guess_delimiter(rows[0] if rows else "", dialect.decimal_comma)
@@ -168,24 +168,16 @@ def _likely_head(path: Path, lines: list[str], first: int, stated: str) -> Head:
             comment, at = line.strip().lstrip(COMMENT), k
             continue
         if not _is_row(line):
-            return Head(
-                split_cells(line, stated or _guess_delimiter(line)),
-                stated or _guess_delimiter(line),
-                k,
-                False,
-            )
+            delimiter = stated or _guess_delimiter(line)
+            return Head(split_cells(line, delimiter), delimiter, k, False)
         if comment:
             break
         raise InputError(
             f"{path}: line {k} holds values, and no line has names; accepted: a line of names, or "
             "csv: {names: [a, b, …]} in the mapping"
         )
-    return Head(
-        split_cells(comment, stated or _guess_delimiter(comment)),
-        stated or _guess_delimiter(comment),
-        at,
-        True,
-    )
+    delimiter = stated or _guess_delimiter(comment)
+    return Head(split_cells(comment, delimiter), delimiter, at, True)
 
 
 def _guess_delimiter(line: str, decimal_comma: bool = False) -> str:

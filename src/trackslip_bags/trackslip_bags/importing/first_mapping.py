@@ -173,7 +173,7 @@ class FirstMapping:
     """A mapping as text, and entries for the user to check."""
 
     text: str
-    found: Mapping[str, str]  # field → column and unit, as they are printed
+    columns: Mapping[str, str]  # field → column and unit, as they are printed
     guessed: tuple[str, ...]  # entries that no name states
     unused: tuple[str, ...]  # names of columns
 
@@ -201,19 +201,19 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
     topics: dict[str, dict[str, Any]] = {}
     tree: dict[str, Any] = {"vehicle": vehicle}
     tree |= {"csv": _FlowMapping(decimal="comma")} if table.has_decimal_commas else {}
-    for field, found in fields.items():
-        (topics.setdefault(found.topic, {}) if found.topic else tree)[field] = found.entry
-    guessed = [guess for found in fields.values() for guess in found.guesses]
+    for field, columns in fields.items():
+        (topics.setdefault(columns.topic, {}) if columns.topic else tree)[field] = columns.entry
+    guessed = [guess for columns in fields.values() for guess in columns.guesses]
     if "gnss_pose" in topics:
         stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
         topics["gnss_pose"]["stddev"] = _FlowMapping(x=stddev, y=stddev)
         guessed.append(f"standard deviation of positions: {stddev:g} m")
     tree |= {"topics": topics, "parameters": {**_source_parameters(topics), **parameters}}
     head = f"# What is what in {log.name}, by trackslip import. Correct it; docs/import.md has every key.\n"
-    used = {name for found in fields.values() for name in found.names}
+    used = {name for columns in fields.values() for name in columns.names}
     return FirstMapping(
         text=head + yaml.dump(tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True),
-        found={field: f"{' + '.join(one.names)}, {' + '.join(one.units)}" for field, one in fields.items()},
+        columns={field: f"{' + '.join(one.names)}, {' + '.join(one.units)}" for field, one in fields.items()},
         guessed=tuple(guessed),
         unused=tuple(name for name in table.cells if name not in used),
     )
@@ -245,7 +245,7 @@ def _read_table(log: Path) -> _Table:
         raise InputError(f"{log}: cannot be read ({error})") from error
     rows = [row for row in rows if len(row) >= len(head.names)]
     cells = {name: [row[k] for row in rows if row[k]] for k, name in enumerate(head.names) if name}
-    has_commas = any(DECIMAL_COMMA.fullmatch(cell) for own in cells.values() for cell in own)
+    has_commas = any(DECIMAL_COMMA.fullmatch(cell) for column in cells.values() for cell in column)
     return _Table(cells, has_commas)
 
 
@@ -270,12 +270,12 @@ class _FieldColumns(NamedTuple):
 
 def _find_fields(table: _Table) -> dict[str, _FieldColumns]:
     """For each field, the first column of its first kind."""
-    found: dict[str, _FieldColumns] = {}
+    fields: dict[str, _FieldColumns] = {}
     for kind in _FIELD_KINDS:
-        column = None if kind.field in found else _find_column(kind, table)
+        column = None if kind.field in fields else _find_column(kind, table)
         if column is not None:
-            found[kind.field] = column
-    return found | ({"time": two_columns} if (two_columns := _two_column_time(table)) else {})
+            fields[kind.field] = column
+    return fields | ({"time": two_columns} if (two_columns := _two_column_time(table)) else {})
 
 
 def _find_column(kind: _FieldKind, table: _Table) -> _FieldColumns | None:
@@ -294,14 +294,14 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
     guesses = [f"scale of {name}: -1, of an axis that points down"] if scale < 0.0 else []
     if not kind.is_certain and words[-1] == _SIDE_NUMBERS.get(side):
         guesses.append(f"side of {name}: {side}")
-    own, is_known = _unit_by_values(kind, table, name)
-    if is_known and (own == ISO or not unit):
-        unit = own
+    unit_by_values, is_known = _unit_by_values(kind, table, name)
+    if is_known and (unit_by_values == ISO or not unit):
+        unit = unit_by_values
     elif is_position and not unit and any(re.fullmatch(_COUNTS, word) for word in words):
         unit, scale = "rev", 1.0 / _COUNTS_PER_TURN
         guesses.append(f"counts of {name}: {_COUNTS_PER_TURN} a turn ('scale')")
     elif not unit:
-        unit = own
+        unit = unit_by_values
         guesses += [] if kind.is_certain else [f"unit of {name}: {unit}"]
     if np.abs(table.numbers(name)).max(initial=0.0) > _LARGEST_ANGLES.get(kind.field, np.inf):
         scale = _SCALE_OF_INTEGER_ANGLE
@@ -341,8 +341,8 @@ def _drop_repeated_pairs(fields: Mapping[str, _FieldColumns]) -> dict[str, _Fiel
     """The fields without incomplete pairs, and without pairs that repeat another one."""
     left_out: set[str] = set()
     for pairs in _PAIRS:
-        whole = next((pair for pair in pairs if fields.keys() >= set(pair)), ())
-        left_out |= {name for pair in pairs for name in pair if name not in whole}
+        complete = next((pair for pair in pairs if fields.keys() >= set(pair)), ())
+        left_out |= {name for pair in pairs for name in pair if name not in complete}
     return {field: one for field, one in fields.items() if field not in left_out}
 
 
@@ -369,11 +369,11 @@ def _interpretations(name: str) -> Iterator[tuple[str, str]]:
 
 def _source_parameters(topics: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters that follow from the topics."""
-    found: dict[str, Any] = {"pose_sources": [""], "start": "initial_pose"}
+    parameters: dict[str, Any] = {"pose_sources": [""], "start": "initial_pose"}
     if "gnss_pose" in topics:
-        found = {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
-    found |= {"heading_sources": ["heading"]} if "heading" in topics else {}
-    return found | ({} if "imu/data_raw" in topics else {"yaw_rate_sources": [""]})
+        parameters = {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
+    parameters |= {"heading_sources": ["heading"]} if "heading" in topics else {}
+    return parameters | ({} if "imu/data_raw" in topics else {"yaw_rate_sources": [""]})
 
 
 class _FlowMapping(dict[str, Any]):

@@ -38,7 +38,7 @@ from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
-_KindOfFile = Mapping[Path, tuple[LogKind, str]]
+_FileKinds = Mapping[Path, tuple[LogKind, str]]
 _MAX_NAMED = 3  # files in an error
 _DEVICE_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
 _OTHER_CLOCK_S = 10.0
@@ -91,7 +91,7 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
             type_name = ROLES[one.role].type_name
             bag.write(absolute_name(one.topic), type_name, serialize(one.message(row)), log_time_ns)
     left_out = {absolute_name(one.topic): dict(one.left_out) for one in samples if one.left_out}
-    late = {absolute_name(one.topic): found for one in samples if (found := _lateness(one)) is not None}
+    late = {absolute_name(one.topic): lateness for one in samples if (lateness := _lateness(one)) is not None}
     used = any(
         "latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values()
     )
@@ -108,11 +108,11 @@ def _read_logs(
         raise InputError(f"log '{missing[0]}' not found; accepted: logs or their directory, or a bag")
     bags = [path for path in logs if is_bag(path)]
     files = [file for path in logs if path not in bags for file in _log_files(path)]
-    found, notes = [], []
+    samples, notes = [], []
     for part, words in _read_parts(bags, files, mapping, local):
-        found += part
+        samples += part
         notes += words
-    return found, notes
+    return samples, notes
 
 
 def _read_parts(
@@ -172,20 +172,24 @@ def _kind_of_file(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
     return kind, words
 
 
-def _matching_files(kinds: _KindOfFile, kind: LogKind, given: CanSection | GnssSection | None) -> list[Path]:
+def _matching_files(kinds: _FileKinds, kind: LogKind, section: CanSection | GnssSection | None) -> list[Path]:
     """Files of a kind, whose names the section accepts."""
-    if given is None:
+    if section is None:
         return []
-    return [file for file, (own, _) in kinds.items() if own is kind and fnmatch(file.name, given.file)]
+    return [
+        file
+        for file, (file_kind, _) in kinds.items()
+        if file_kind is kind and fnmatch(file.name, section.file)
+    ]
 
 
 def _require_files(
-    files: Sequence[Path], given: CanSection | GnssSection, what: str, kinds: _KindOfFile
+    files: Sequence[Path], section: CanSection | GnssSection, what: str, kinds: _FileKinds
 ) -> None:
     if not files:
         there = "; ".join(f"{file.name}: a {words}" for file, (_, words) in list(kinds.items())[:_MAX_NAMED])
         raise InputError(
-            f"{given.where}: no {what} named '{given.file}' among the logs ({there or 'none given'}); "
+            f"{section.where}: no {what} named '{section.file}' among the logs ({there or 'none given'}); "
             "accepted: one or more"
         )
 
@@ -195,12 +199,12 @@ def _log_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     endings = (*_CSV_SUFFIXES, *_DEVICE_SUFFIXES)
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in endings and file.is_file())
-    if not found:
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in endings and file.is_file())
+    if not files:
         raise InputError(
             f"{path}: neither a bag nor holds logs; accepted: a bag, or files *{', *'.join(endings)}"
         )
-    return found
+    return files
 
 
 def _first_messages(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
@@ -208,20 +212,20 @@ def _first_messages(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator
     resolution = encoder_resolution(samples)
     positions = [one.values["position"] for one in samples if one.role == "sprockets"]
     has_only_speeds = any(len(one) >= _MIN_READINGS and not np.isfinite(one).any() for one in positions)
-    found = {"encoder_resolution": resolution} if resolution or has_only_speeds else {}
+    estimated = {"encoder_resolution": resolution} if resolution or has_only_speeds else {}
     if mapping.vehicle is not None:
         yield VEHICLE, vehicle_text(mapping.vehicle)
-    if parameters := {**found, **mapping.parameters}:
+    if parameters := {**estimated, **mapping.parameters}:
         yield PARAMETERS_TOPIC, parameters_text(parameters, SLIP_NODE)
 
 
 def encoder_resolution(samples: Sequence[Samples]) -> float:
     """Angle of one count of the sprockets, rad; 0 without sprockets, and without counts."""
-    shown = [one for one in samples if one.role == "sprockets" and len(one.stamps_ns)]
-    if not shown:
+    sprockets = [one for one in samples if one.role == "sprockets" and len(one.stamps_ns)]
+    if not sprockets:
         return 0.0
-    t = (shown[0].stamps_ns - shown[0].stamps_ns[0]) * 1e-9
-    return angle_of_count(t, shown[0].values["velocity"], shown[0].values["position"])
+    t = (sprockets[0].stamps_ns - sprockets[0].stamps_ns[0]) * 1e-9
+    return angle_of_count(t, sprockets[0].values["velocity"], sprockets[0].values["position"])
 
 
 def _without_negative_stamps(one: Samples) -> Samples:

@@ -40,10 +40,10 @@ class LocalFrame:
             datum = self._datum_of(place[good], where)
             far = np.zeros(len(place), np.bool_)
             far[good] = self._is_out_of_reach(datum, place[good])
-            why = [too_far_reason(datum, *degrees) for degrees in np.degrees(place[far, :2]).tolist()]
+            far_reasons = [too_far_reason(datum, *degrees) for degrees in np.degrees(place[far, :2]).tolist()]
             for reason in (Reason.HEMISPHERE, Reason.FAR):
                 rows = far.copy()
-                rows[far] = [one is reason for one in why]
+                rows[far] = [one is reason for one in far_reasons]
                 reasons[reason] = rows
         if np.logical_or.reduce(list(reasons.values())).all():
             raise InputError(self._all_rejected_text(place[0], where, reasons))
@@ -58,16 +58,16 @@ class LocalFrame:
 
     def _datum_of(self, place: FloatArray, where: str) -> Datum:
         """The datum; where none is given, the first position within reach of at least half of all."""
-        left = np.arange(len(place)) if self.datum is None else np.arange(0)
+        remaining = np.arange(len(place)) if self.datum is None else np.arange(0)
         for _ in range(_MAX_TRIED):
-            if self.datum is not None or not left.size:
+            if self.datum is not None or not remaining.size:
                 break
-            latitude, longitude, altitude = place[left[0]].tolist()
+            latitude, longitude, altitude = place[remaining[0]].tolist()
             altitude = altitude if math.isfinite(altitude) else 0.0
-            tried = Datum(math.degrees(latitude), math.degrees(longitude), altitude)
-            far = self._is_out_of_reach(tried, place)
-            self.datum = tried if 2 * int(far.sum()) <= len(place) else None
-            left = left[far[left]]
+            candidate = Datum(math.degrees(latitude), math.degrees(longitude), altitude)
+            far = self._is_out_of_reach(candidate, place)
+            self.datum = candidate if 2 * int(far.sum()) <= len(place) else None
+            remaining = remaining[far[remaining]]
         if self.datum is None:
             text = f"no position has half of the {len(place)} within {self._reach / 1e3:g} km"
             raise InputError(f"{where}: {text}; accepted: datum: {{latitude: …, longitude: …}}")
@@ -82,10 +82,10 @@ class LocalFrame:
         """Message with the first position and the datum."""
         reason = next(reason for reason, rows in reasons.items() if rows[0])
         latitude, longitude = np.degrees(first[:2]).tolist()
-        about = "" if self.datum is None else f" ({self.datum.latitude:.6f}, {self.datum.longitude:.6f})"
+        datum = "" if self.datum is None else f" ({self.datum.latitude:.6f}, {self.datum.longitude:.6f})"
         return (
             f"{where}: every position is rejected: the first, at latitude {latitude:.6f}, longitude "
-            f"{longitude:.6f} deg, is {reason.value}{about}; accepted: within {self._reach / 1e3:g} km of it"
+            f"{longitude:.6f} deg, is {reason.value}{datum}; accepted: within {self._reach / 1e3:g} km of it"
         )
 
 

@@ -63,8 +63,8 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     where = str(path)
     optional = (*_CSV_KEYS, *_DEVICE_KEYS, "start", "datum", "vehicle", "parameters")
     check_keys(where, tree, () if tree.keys() & set(_DEVICE_KEYS) else ("topics",), ("topics", *optional))
-    topics = section(f"{where}: topics", tree.get("topics", {}))
-    if not topics and not tree.keys() & set(_DEVICE_KEYS):
+    sections = section(f"{where}: topics", tree.get("topics", {}))
+    if not sections and not tree.keys() & set(_DEVICE_KEYS):
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
     if "vehicle" in tree and "vehicle" in parameters:
@@ -76,16 +76,16 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     _check_parameters(path, parameters, vehicle)
     geometry = None if vehicle is None else _geometry(vehicle)
     common: dict[str, Any] = {name: tree[name] for name in _CSV_KEYS if name in tree}
-    found = {name: read_topic(where, name, topic, common, geometry) for name, topic in topics.items()}
-    if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
+    topics = {name: read_topic(where, name, topic, common, geometry) for name, topic in sections.items()}
+    if len({isinstance(topic, BagTopic) for topic in topics.values()}) > 1:
         raise InputError(f"{where}: topics both with and without '{FROM}'; accepted: one log, a bag or CSV")
-    if common and any(isinstance(topic, BagTopic) for topic in found.values()):
+    if common and any(isinstance(topic, BagTopic) for topic in topics.values()):
         raise InputError(f"{where}: '{next(iter(common))}' is of CSV logs; accepted for a bag: {FROM} alone")
     return LogMapping(
         path=path,
         start_ns=nanoseconds(f"{where}: start", tree.get("start", 0.0)),
         datum=_datum(f"{where}: datum", tree.get("datum", FIRST)),
-        topics=found,
+        topics=topics,
         vehicle=vehicle,
         parameters=parameters,
         can=read_can(path, tree["can"]) if "can" in tree else None,

@@ -94,7 +94,7 @@ class BagTopic(Topic):
     source: str
     joints: Mapping[str, Joints]  # of sprockets left and right, of a swing its joint
     uses: str  # of joints: both, positions, velocities
-    stamped: bool  # by the header; else by the time of the log
+    uses_header: bool  # for stamps; else the log times
     child_frame: str | None  # of transforms
     position_only: bool
     convention: str  # of headings, one of CONVENTIONS
@@ -116,8 +116,8 @@ def read_topic(
         raise InputError(f"{where}: topics: unknown key '{name}'{like}; accepted: {accepted}")
     tree = section(place, value)
     role = choice(f"{place}.role", tree.get("role", ROLE_OF_TOPIC.get(name)), ROLES)
-    own = (FROM, *_keys_of(ROLES[role], _BAG_KEYS)) if FROM in tree else _keys_of(ROLES[role], _CSV_KEYS)
-    check_keys(place, tree, (), own if FROM in tree else (*ROLES[role].fields, *own))
+    keys = (FROM, *_keys_of(ROLES[role], _BAG_KEYS)) if FROM in tree else _keys_of(ROLES[role], _CSV_KEYS)
+    check_keys(place, tree, (), keys if FROM in tree else (*ROLES[role].fields, *keys))
     of_both = {
         "name": name,
         "where": place,
@@ -133,19 +133,19 @@ def read_topic(
 
 
 def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> CsvTopic:
-    given = [name for name in role.fields if name in tree]
-    role.check(where, set(given))
+    stated = [name for name in role.fields if name in tree]
+    role.check(where, set(stated))
     if "time" not in tree:
         raise InputError(
             f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}"
         )
-    columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in given}
+    columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in stated}
     for one, other in _SIDE_PAIRS:
         names = {columns[name].names for name in (one, other) if name in columns}
-        if {one, other} <= set(given) and len(names) == 1 and len(columns[one].names) == 1:
+        if {one, other} <= set(stated) and len(names) == 1 and len(columns[one].names) == 1:
             name = columns[one].names[0]
             raise InputError(f"{where}: {one} and {other} are both of '{name}'; accepted: a column of each")
-    _require_spreads(where, role, of_both["spreads"], set(given))
+    _require_spreads(where, role, of_both["spreads"], set(stated))
     _require_geometry(where, columns, of_both["geometry"])
     marker = tree.get("new_when_changes")
     return CsvTopic(
@@ -175,7 +175,7 @@ def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         source=text(f"{where}.{FROM}", tree[FROM]),
         joints=joints,
         uses=choice(f"{where}.use", tree.get("use", uses), USES),
-        stamped=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
+        uses_header=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
         child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
         position_only=flag(f"{where}.position_only", tree.get("position_only", False)),
         convention=choice(f"{where}.convention", tree.get("convention", CONVENTIONS[0]), CONVENTIONS),
@@ -220,21 +220,21 @@ def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], give
     """Require a standard deviation or covariance for each axis of a pose."""
     if role is not ROLES["pose"]:
         return
-    headed = given & {"yaw", "heading", "qz"}
-    for axis in ("x", "y", *(("yaw",) if headed else ())):
+    yaw_fields = given & {"yaw", "heading", "qz"}
+    for axis in ("x", "y", *(("yaw",) if yaw_fields else ())):
         if axis not in spreads:
             raise InputError(
                 f"{where}: stddev of {axis} is missing; accepted: {axis} under stddev or covariance"
             )
-    if "yaw" in spreads and not headed:
+    if "yaw" in spreads and not yaw_fields:
         raise InputError(f"{where}: stddev of yaw, and no yaw; accepted: yaw, heading, or qx + qy + qz + qw")
 
 
 def _require_geometry(where: str, columns: Mapping[str, Column], geometry: Geometry | None) -> None:
     """Require the geometry of the vehicle for speeds over ground."""
-    grounded = [name for name, column in columns.items() if column.quantity in ("speed", "length")]
-    if ROLES["sprockets"].fields.keys() >= columns.keys() and grounded and geometry is None:
-        raise InputError(f"{where}.{grounded[0]}: {NEEDS_GEOMETRY}")
+    over_ground = [name for name, column in columns.items() if column.quantity in ("speed", "length")]
+    if ROLES["sprockets"].fields.keys() >= columns.keys() and over_ground and geometry is None:
+        raise InputError(f"{where}.{over_ground[0]}: {NEEDS_GEOMETRY}")
 
 
 def _read_geometry(where: str, value: Any) -> Geometry:

@@ -51,7 +51,7 @@ class _TimedMessage(NamedTuple):
 
 
 def read_receiver_logs(
-    paths: Sequence[Path], given: GnssSection, local: LocalFrame
+    paths: Sequence[Path], section: GnssSection, local: LocalFrame
 ) -> tuple[list[Samples], list[str]]:
     """Samples of ``fix``, ``gnss_pose``, ``fix_velocity`` and ``heading``, and notes on rejected messages.
 
@@ -60,14 +60,14 @@ def read_receiver_logs(
     """
     names = ", ".join(path.name for path in paths)
     defaults = load_parameters(NmeaParameters, _NODE, (f"{_NODE}.yaml",))
-    stddev = defaults.heading_stddev if given.heading_stddev is None else given.heading_stddev
+    stddev = defaults.heading_stddev if section.heading_stddev is None else section.heading_stddev
     tally = Tally()
     p = replace(defaults, serial_port=_NETWORK, heading_stddev=stddev, time_offset=0.0)
     stream = NmeaStream(p, tally, lambda steady_ns: steady_ns)
     messages = [message for path in paths for message in _messages(path)]
     notes: list[str] = []
     samples: list[Sample] = []
-    for message, now_ns in _with_epoch_times(messages, given, names, notes):
+    for message, now_ns in _with_epoch_times(messages, section, names, notes):
         samples += stream.feed(message.content, now_ns)
     samples += stream.flush()
     distinct = {(type(one), one.stamp_ns): one for one in reversed(samples)}
@@ -82,19 +82,19 @@ def read_receiver_logs(
         kinds += f"; {NO_POSITION}"
         notes.append(f"{names}: no position; {kinds}")
     if samples and all(message.time_ns is None for message in messages):
-        raise InputError(f"{given.where}: {names}: no message states a time ({kinds})")
+        raise InputError(f"{section.where}: {names}: no message states a time ({kinds})")
     fixes = [one for one in samples if isinstance(one, FixSample)]
     directions = [one for one in samples if isinstance(one, HeadingSample)]
     velocities = [one for one in samples if isinstance(one, VelocitySample)]
-    found = [
-        *_fix_samples(fixes, given, local, names, notes),
-        *_velocity_samples(velocities, given, names),
-        *_heading_samples(directions, given, names),
+    all_samples = [
+        *_fix_samples(fixes, section, local, names, notes),
+        *_velocity_samples(velocities, section, names),
+        *_heading_samples(directions, section, names),
     ]
-    if not found:
+    if not all_samples:
         reasons = "; ".join([*notes, kinds] if POSITIONS & set(stream.kinds) else notes or [kinds])
-        raise InputError(f"{given.where}: {names}: no position and no heading ({reasons})")
-    return found, notes
+        raise InputError(f"{section.where}: {names}: no position and no heading ({reasons})")
+    return all_samples, notes
 
 
 def _messages(path: Path) -> Iterator[_TimedMessage]:
@@ -138,13 +138,13 @@ def has_messages(path: Path) -> bool:
 
 def _timed_message(frame: Frame) -> _TimedMessage:
     if frame.kind is Kind.SENTENCE:
-        found = read_sentence(frame.content)
-        reading = found.reading if isinstance(found, Sentence) else None
+        sentence = read_sentence(frame.content)
+        reading = sentence.reading if isinstance(sentence, Sentence) else None
         time_ns = None if reading is None or isinstance(reading, Rejection) else reading.time_ns
-        is_clock = isinstance(found, Sentence) and found.kind == "ZDA"
+        is_clock = isinstance(sentence, Sentence) and sentence.kind == "ZDA"
         if is_clock:
             time_ns = _zda_time_ns(frame.content)
-        day = None if time_ns is None else _day_of(found, frame.content)
+        day = None if time_ns is None else _day_of(sentence, frame.content)
         return _TimedMessage(frame.content + b"\r\n", time_ns, day, is_clock)
     if frame.kind is Kind.UBX:
         pvt = ubx.decode(frame.content)
@@ -167,18 +167,18 @@ def _zda_time_ns(sentence: bytes) -> int | None:
         return None
 
 
-def _day_of(found: Sentence | Rejection, content: bytes) -> date | None:
+def _day_of(sentence: Sentence | Rejection, content: bytes) -> date | None:
     """The date that RMC, ZDA or KSXT states; None where there is none."""
-    if not isinstance(found, Sentence):
+    if not isinstance(sentence, Sentence):
         return None
     fields = content.partition(b"*")[0].decode("latin-1").split(",")
     try:
-        if found.kind == "RMC" and len(fields[9]) == 6:
+        if sentence.kind == "RMC" and len(fields[9]) == 6:
             day, month, year = (int(fields[9][k : k + 2]) for k in (0, 2, 4))
             return _date(2000 + year, month, day)
-        if found.kind == "ZDA":
+        if sentence.kind == "ZDA":
             return _date(int(fields[4]), int(fields[3]), int(fields[2]))
-        if found.kind == "KSXT":
+        if sentence.kind == "KSXT":
             return _date(int(fields[1][:4]), int(fields[1][4:6]), int(fields[1][6:8]))
     except (IndexError, ValueError):
         pass
@@ -193,24 +193,24 @@ def _date(year: int, month: int, day: int) -> date | None:
 
 
 def _with_epoch_times(
-    messages: Sequence[_TimedMessage], given: GnssSection, names: str, notes: list[str]
+    messages: Sequence[_TimedMessage], section: GnssSection, names: str, notes: list[str]
 ) -> Iterator[tuple[_TimedMessage, int]]:
     """Each message with the time of its epoch, ns; a note where neither messages nor mapping state a date."""
     times, days, epochs = _epochs(messages)
-    stated = next((k for k, day in enumerate(days) if day is not None), 0)
-    if days[stated] is None:
-        days[stated] = given.day or _EPOCH
-        if given.day is None:
+    first_dated = next((k for k, day in enumerate(days) if day is not None), 0)
+    if days[first_dated] is None:
+        days[first_dated] = section.day or _EPOCH
+        if section.day is None:
             notes.append(f"{names}: no date; stamps are of 1970-01-01 (gnss: {{date: …}} in the mapping)")
-    numbers = [0 if day is None else (day - _EPOCH).days for day in days]
-    for k in range(stated - 1, -1, -1):
-        numbers[k] = numbers[k + 1] - (times[k] - times[k + 1] > _DAY_NS // 2)
-    for k in range(stated + 1, len(days)):
+    day_numbers = [0 if day is None else (day - _EPOCH).days for day in days]
+    for k in range(first_dated - 1, -1, -1):
+        day_numbers[k] = day_numbers[k + 1] - (times[k] - times[k + 1] > _DAY_NS // 2)
+    for k in range(first_dated + 1, len(days)):
         if days[k] is None:
-            numbers[k] = numbers[k - 1] + (times[k - 1] - times[k] > _DAY_NS // 2)
-    shift = (given.day - _EPOCH).days - numbers[0] if given.day is not None else 0
+            day_numbers[k] = day_numbers[k - 1] + (times[k - 1] - times[k] > _DAY_NS // 2)
+    shift = (section.day - _EPOCH).days - day_numbers[0] if section.day is not None else 0
     for message, k in zip(messages, epochs, strict=True):
-        yield message, (numbers[k] + shift) * _DAY_NS + times[k]
+        yield message, (day_numbers[k] + shift) * _DAY_NS + times[k]
 
 
 def _epochs(messages: Sequence[_TimedMessage]) -> tuple[list[int], list[date | None], list[int]]:
@@ -233,66 +233,70 @@ def _epochs(messages: Sequence[_TimedMessage]) -> tuple[list[int], list[date | N
     return [time_ns or 0 for time_ns in times], days, epochs
 
 
-def _stamps(found: Sequence[Sample], given: GnssSection) -> IntArray:
-    stamps_ns = np.array([one.stamp_ns for one in found], np.int64) + given.offset_ns
+def _stamps(samples: Sequence[Sample], section: GnssSection) -> IntArray:
+    stamps_ns = np.array([one.stamp_ns for one in samples], np.int64) + section.offset_ns
     if stamps_ns.min() < 0 or stamps_ns.max() >= LIMIT_NS:
-        raise InputError(f"{given.where}: stamps outside 0 … 2^31 s; accepted: another date or time_offset")
+        raise InputError(f"{section.where}: stamps outside 0 … 2^31 s; accepted: another date or time_offset")
     return stamps_ns
 
 
 def _fix_samples(
-    found: Sequence[FixSample], given: GnssSection, local: LocalFrame, source: str, notes: list[str]
+    fixes: Sequence[FixSample], section: GnssSection, local: LocalFrame, source: str, notes: list[str]
 ) -> Iterator[Samples]:
-    if not found:
+    if not fixes:
         return
-    stamps_ns = _stamps(found, given)
-    place = np.array([(math.radians(f.latitude), math.radians(f.longitude), f.altitude) for f in found])
-    variances = np.array([f.variances for f in found])
-    covariance = np.zeros((len(found), 3, 3))
+    stamps_ns = _stamps(fixes, section)
+    place = np.array([(math.radians(f.latitude), math.radians(f.longitude), f.altitude) for f in fixes])
+    variances = np.array([f.variances for f in fixes])
+    covariance = np.zeros((len(fixes), 3, 3))
     covariance[:, range(3), range(3)] = variances
     values = {
         "place": place,
         "covariance": covariance,
-        "kind": np.array([float(f.covariance_type) for f in found]),
-        "status": np.array([float(f.status) for f in found]),
+        "kind": np.array([float(f.covariance_type) for f in fixes]),
+        "status": np.array([float(f.status) for f in fixes]),
     }
     yield Samples("fix", "fix", [ROLES["fix"].frame], stamps_ns, stamps_ns, values, source=source)
-    known = np.array([f.covariance_type is not CovarianceType.UNKNOWN for f in found])
+    known = np.array([f.covariance_type is not CovarianceType.UNKNOWN for f in fixes])
     if not known.all():
         notes.append(
             f"{source}: {sum(~known)} × a fix without accuracy, of which no gnss_pose is made; switch GST on"
         )
     if not known.any():
         return
-    pose, left_out = known, {}
-    for reason, rejected in local.rejections(place[known], f"{given.where}: {source}"):
+    is_used, left_out = known, {}
+    for reason, rejected in local.rejections(place[known], f"{section.where}: {source}"):
         rows = np.flatnonzero(known)[rejected]
         left_out[reason] = len(rows)
-        pose = pose & ~np.isin(np.arange(len(found)), rows)
-    east_north: FloatArray = local.east_north(place[pose])
+        is_used = is_used & ~np.isin(np.arange(len(fixes)), rows)
+    east_north: FloatArray = local.east_north(place[is_used])
     planar = np.column_stack((east_north, np.full(len(east_north), np.nan)))
-    of_pose = without_heading(planar, covariance[pose].copy())
-    times = stamps_ns[pose], stamps_ns[pose]
-    poses = Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, of_pose, source=source)
+    pose_values = without_heading(planar, covariance[is_used].copy())
+    times = stamps_ns[is_used], stamps_ns[is_used]
+    poses = Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, pose_values, source=source)
     poses.left_out.update({reason: n for reason, n in left_out.items() if n})
     yield poses
 
 
-def _velocity_samples(found: Sequence[VelocitySample], given: GnssSection, source: str) -> Iterator[Samples]:
-    if not found:
+def _velocity_samples(
+    velocities: Sequence[VelocitySample], section: GnssSection, source: str
+) -> Iterator[Samples]:
+    if not velocities:
         return
-    stamps_ns = _stamps(found, given)
-    variances = np.array([(one.stddev**2, one.stddev**2) for one in found])
-    values = {"velocity": np.array([(one.east, one.north) for one in found]), "variances": variances}
+    stamps_ns = _stamps(velocities, section)
+    variances = np.array([(one.stddev**2, one.stddev**2) for one in velocities])
+    values = {"velocity": np.array([(one.east, one.north) for one in velocities]), "variances": variances}
     frame = [ROLES["velocity"].frame]
     yield Samples("fix_velocity", "velocity", frame, stamps_ns, stamps_ns, values, source=source)
 
 
-def _heading_samples(found: Sequence[HeadingSample], given: GnssSection, source: str) -> Iterator[Samples]:
-    if not found:
+def _heading_samples(
+    headings: Sequence[HeadingSample], section: GnssSection, source: str
+) -> Iterator[Samples]:
+    if not headings:
         return
-    stamps_ns = _stamps(found, given)
-    yaw, stddev = np.array([(one.yaw, one.stddev) for one in found]).T
+    stamps_ns = _stamps(headings, section)
+    yaw, stddev = np.array([(one.yaw, one.stddev) for one in headings]).T
     covariance = np.zeros((len(yaw), 3, 3))
     covariance[:, 2, 2] = stddev**2
     values = heading_values(level_quaternions(yaw), covariance)

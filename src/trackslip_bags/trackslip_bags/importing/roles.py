@@ -72,11 +72,11 @@ class Role:
             InputError: they do not.
         """
         for groups in self.choices:
-            own = given.intersection(*[{field for group in groups for field in group}])
-            if not any(own == set(group) for group in groups):
+            in_choice = given.intersection(*[{field for group in groups for field in group}])
+            if not any(in_choice == set(group) for group in groups):
                 accepted = ", or ".join(" + ".join(group) for group in groups if group)
-                found = " + ".join(f for f in self.fields if f in own) or "none of them"
-                raise InputError(f"{where}: {found} is not accepted; accepted: {accepted}")
+                stated = " + ".join(f for f in self.fields if f in in_choice) or "none of them"
+                raise InputError(f"{where}: {stated} is not accepted; accepted: {accepted}")
 
 
 ROLES: Mapping[str, Role] = {

@@ -66,8 +66,8 @@ class Samples:
 
 def track_speeds(speed: FloatArray, yaw_rate: FloatArray, geometry: Geometry) -> FloatArray:
     """(n, 2) sprocket speeds, rad/s, without slip, for speeds (n,) in m/s and yaw rates (n,) in rad/s."""
-    apart = yaw_rate * geometry.tread / 2.0
-    return np.column_stack((speed - apart, speed + apart)) / geometry.rolling_radius
+    half_difference = yaw_rate * geometry.tread / 2.0
+    return np.column_stack((speed - half_difference, speed + half_difference)) / geometry.rolling_radius
 
 
 def rates_of_positions(positions: FloatArray, stamps_ns: IntArray) -> FloatArray:
@@ -117,23 +117,23 @@ def heading_values(turn: FloatArray, covariance: FloatArray) -> Values:
 
 def _sprocket_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     names = [LEFT_SPROCKET, RIGHT_SPROCKET]
-    known = np.isfinite(values["position"]).all()
-    return {"name": names, "position": values["position"] if known else [], "velocity": values["velocity"]}
+    is_known = np.isfinite(values["position"]).all()
+    return {"name": names, "position": values["position"] if is_known else [], "velocity": values["velocity"]}
 
 
 def _imu_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for name, key in (("angular_velocity", "rate"), ("linear_acceleration", "acceleration")):
         vector = np.nan_to_num(values[key], nan=0.0).tolist()
-        found[name] = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", vector, strict=True)))
-        found[f"{name}_covariance"] = _imu_covariance(values[key], values[f"{key}_covariance"])
+        fields[name] = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", vector, strict=True)))
+        fields[f"{name}_covariance"] = _imu_covariance(values[key], values[f"{key}_covariance"])
     turn = values["orientation"]
     w, *rest = (turn[3], *turn[:3]) if np.isfinite(turn).all() else (1.0, 0.0, 0.0, 0.0)
-    found["orientation"] = make(
+    fields["orientation"] = make(
         "geometry_msgs/msg/Quaternion", w=float(w), **dict(zip("xyz", map(float, rest), strict=True))
     )
-    found["orientation_covariance"] = _imu_covariance(turn, values["orientation_covariance"])
-    return found
+    fields["orientation_covariance"] = _imu_covariance(turn, values["orientation_covariance"])
+    return fields
 
 
 def _imu_covariance(vector: FloatArray, covariance: FloatArray) -> list[float]:
@@ -141,11 +141,11 @@ def _imu_covariance(vector: FloatArray, covariance: FloatArray) -> list[float]:
     missing = np.isnan(vector)
     if missing.all():
         return [UNKNOWN] + [0.0] * 8
-    found = np.nan_to_num(covariance, nan=0.0).copy()
+    filled = np.nan_to_num(covariance, nan=0.0).copy()
     if missing.any() and len(vector) == 3:
-        found[np.ix_(missing, missing)] = 0.0
-        found[missing, missing] = UNOBSERVED
-    numbers: list[float] = found.ravel().tolist()
+        filled[np.ix_(missing, missing)] = 0.0
+        filled[missing, missing] = UNOBSERVED
+    numbers: list[float] = filled.ravel().tolist()
     return numbers
 
 

@@ -72,17 +72,17 @@ def _number_ns(cell: str, unit: str) -> int:
 
 
 def _iso_ns(cell: str, default_zone_ns: int) -> int:
-    found = _date_of(cell)
-    if found is None:
+    match = _date_of(cell)
+    if match is None:
         raise ValueError(cell)
-    *parts, fraction, zone = found.groups()
-    whole = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
+    *parts, fraction, zone = match.groups()
+    since_epoch = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
     zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # 0 for UTC, GMT
     nanoseconds = int((fraction or "0").ljust(9, "0"))
-    found_ns = (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
-    if abs(found_ns) > _MAX_NS:
+    stamp_ns = (since_epoch.days * 86400 + since_epoch.seconds) * 1_000_000_000 + nanoseconds - zone_ns
+    if abs(stamp_ns) > _MAX_NS:
         raise ValueError(cell)
-    return found_ns
+    return stamp_ns
 
 
 def _date_of(cell: str) -> re.Match[str] | None:

@@ -101,8 +101,8 @@ class RecordNode(TrackslipNode[RecordParameters]):
             publisher or topic in self._raw_subscriptions.single_publisher_topics
         ):  # Jazzy has no publisher_gid
             self._recording.losses.count_gap(topic, publisher["data"] if publisher else b"", number)
-        came_ns, sent_ns = info["received_timestamp"] or time.time_ns(), info["source_timestamp"] or None
-        self._recording.write(topic, type_name, data, came_ns, sent_ns)
+        received_ns, sent_ns = info["received_timestamp"] or time.time_ns(), info["source_timestamp"] or None
+        self._recording.write(topic, type_name, data, received_ns, sent_ns)
 
     def _save(self) -> None:
         """Twice a second: find new topics, flush to the disk, report losses."""

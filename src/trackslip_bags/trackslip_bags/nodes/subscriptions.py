@@ -73,8 +73,8 @@ class RawSubscriptions:
         self.single_publisher_topics = {topic for topic, count in self.publishers().items() if count == 1}
 
     def _publisher_infos(self, topic: str) -> list[Any]:
-        offers: list[Any] = self._node.get_publishers_info_by_topic(topic)
-        return offers
+        infos: list[Any] = self._node.get_publishers_info_by_topic(topic)
+        return infos
 
     def _record_topic(self, topic: str, type_name: str, is_latched: bool) -> None:
         self._known.add(topic)

@@ -36,7 +36,7 @@ class Recovery:
     stated: int | None = None  # messages by ``metadata.yaml``; None without it, as after a killed recorder
     rejected: int = 0  # messages that are not CDR, or of a second type of a topic
     lost_bytes: int = 0  # after the last complete record
-    cut: int = 0  # number of truncated files
+    truncated_files: int = 0
     problems: list[str] = field(default_factory=list)  # descriptions, one per damaged file
 
 
@@ -92,28 +92,28 @@ def _part_readers(path: Path, recovery: Recovery) -> list[ReadPart]:
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
-    every = bag_files(path)
-    files = [file for file in every if begins_with(file, MAGIC)]
-    if files and not any(file.suffix == PACKED for file in every):
-        return [partial(_read_mcap, file, recovery) for file in files]
+    files = bag_files(path)
+    mcap_files = [file for file in files if begins_with(file, MAGIC)]
+    if mcap_files and not any(file.suffix == PACKED for file in files):
+        return [partial(_read_mcap, file, recovery) for file in mcap_files]
     return [partial(_read_other_bag, open_bag(path), recovery)]
 
 
 def _read_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None]) -> RecoveredItems:
     file = DamagedFile(path)
-    problem, shown = "", 0.0
+    problem, reported = "", 0.0
     try:
         for message in file.messages():
-            if file.share_read > shown:  # chunk by chunk
-                advance(file.share_read - shown)
-                shown = file.share_read
+            if file.share_read > reported:  # chunk by chunk
+                advance(file.share_read - reported)
+                reported = file.share_read
             topic = file.topics[message.channel_id]
             yield _RecoveredMessage(topic, message.log_time, message.publish_time, message.data)
     except OSError as error:  # a bad disk: earlier messages are kept
         problem = error.strerror or "unreadable"
-    advance(1.0 - shown)
+    advance(1.0 - reported)
     yield from file.topics.values()
-    recovery.cut += file.is_cut
+    recovery.truncated_files += file.is_truncated
     recovery.lost_bytes += file.lost_bytes
     if problem or file.problem:
         recovery.problems.append(f"{path.name}: {problem or file.problem}")
@@ -158,12 +158,12 @@ def _copy(part: RecoveredItems, bag: BagWriter, recovery: Recovery) -> None:
             recovery.rejected += isinstance(item, _RecoveredMessage)
 
 
-def _write(found: _RecoveredMessage, bag: BagWriter, recovery: Recovery) -> None:
-    if not found.data.startswith(_CDR):
+def _write(message: _RecoveredMessage, bag: BagWriter, recovery: Recovery) -> None:
+    if not message.data.startswith(_CDR):
         recovery.rejected += 1
         return
-    topic = found.topic
-    bag.write(topic.topic, topic.type_name, found.data, found.log_time_ns, found.publish_time_ns)
+    topic = message.topic
+    bag.write(topic.topic, topic.type_name, message.data, message.log_time_ns, message.publish_time_ns)
     recovery.messages += 1
 
 

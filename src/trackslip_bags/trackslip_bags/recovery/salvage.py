@@ -57,7 +57,7 @@ class DamagedFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[int, SalvagedTopic] = {}
-        self.is_cut = False  # truncated
+        self.is_truncated = False
         self.lost_bytes = 0  # after the last complete record
         self.bad_chunks = 0
         self.bad_records = 0  # in complete chunks: of an unknown channel, or with an invalid time
@@ -68,7 +68,7 @@ class DamagedFile:
     def problem(self) -> str:
         """Short description of the damage; empty without damage."""
         parts = [
-            "cut short" if self.is_cut else "",
+            "cut short" if self.is_truncated else "",
             f"{self.bad_chunks} damaged chunks" if self.bad_chunks else "",
             f"{self.bad_records} unusable records" if self.bad_records else "",
         ]
@@ -105,7 +105,7 @@ class DamagedFile:
         """(opcode, content) of each complete record up to the file's end or truncation."""
         size = os.fstat(stream.fileno()).st_size
         end = len(MAGIC)
-        self.is_cut = True
+        self.is_truncated = True
         opcode = 0
         if stream.read(end) != MAGIC:
             self.lost_bytes = size
@@ -113,14 +113,14 @@ class DamagedFile:
         while opcode != Opcode.FOOTER:
             head = stream.read(_HEAD)
             opcode, length = head[0] if head else 0, int.from_bytes(head[1:], "little")
-            sound = 0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE
-            if len(head) < _HEAD or not sound or end + _HEAD + length > size:
+            is_known = 0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE
+            if len(head) < _HEAD or not is_known or end + _HEAD + length > size:
                 self.lost_bytes = size - end
                 return
             end += _HEAD + length
             self.share_read = end / size
             yield opcode, stream.read(length)
-        self.is_cut = stream.read(len(MAGIC) + 1) != MAGIC
+        self.is_truncated = stream.read(len(MAGIC) + 1) != MAGIC
 
     def _parse_records(self, opcode: int, content: bytes) -> list[object]:
         """The schemas, channels and messages in a record; none if it fails its checks."""
@@ -152,14 +152,14 @@ class DamagedFile:
                 self.bad_records += 1
 
     def _is_usable(self, message: Message) -> bool:
-        usable = message.channel_id in self.topics and message.log_time <= LATEST_NS
-        if usable and is_packed(message.data):
+        is_usable = message.channel_id in self.topics and message.log_time <= LATEST_NS
+        if is_usable and is_packed(message.data):
             try:
                 message.data = decompress_message(message.data)
             except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the library)
-                usable = False
-        self.bad_records += not usable
-        return usable
+                is_usable = False
+        self.bad_records += not is_usable
+        return is_usable
 
 
 class Salvage(NamedTuple):
@@ -187,10 +187,10 @@ def salvage(path: Path) -> Salvage:
 
 
 def _topic(channel: Channel, schema: Schema) -> SalvagedTopic:
-    known = schema.encoding in _FORMATS
-    data = schema.data if known else b""
+    is_known = schema.encoding in _FORMATS
+    data = schema.data if is_known else b""
     data.decode()
-    encoding = schema.encoding if known else ""
+    encoding = schema.encoding if is_known else ""
     definition = KnownSchema(encoding, data, channel.metadata.get("topic_type_hash", ""))
     return SalvagedTopic(
         channel.topic, schema.name, definition, channel.metadata.get("offered_qos_profiles", "")

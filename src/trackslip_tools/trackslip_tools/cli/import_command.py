@@ -87,7 +87,7 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | Non
         raise InputError(f"'{path}' exists; accepted: {again}")
     first = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
     write_atomically(path, first.text)
-    for field, column in first.found.items():
+    for field, column in first.columns.items():
         show(f"found: {field}: {column}")
     for line in first.guessed:
         show(f"guessed: {line}")

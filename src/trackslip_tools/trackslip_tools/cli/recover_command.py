@@ -46,7 +46,7 @@ def _loss_lines(recovery: Recovery) -> list[str]:
         lines.append(f"lost: {recovery.rejected} messages that are not CDR, or of a topic with two types")
     if recovery.stated is not None and recovery.stated > recovery.messages:
         lines.append(f"lost: {recovery.stated - recovery.messages} of {recovery.stated} messages")
-    elif recovery.cut:
+    elif recovery.truncated_files:
         span = CHUNK_SPAN_NS * 1e-9
         lines.append(f"lost: what a recorder that was killed had in hand, at most {span:g} s if it was ours")
     if not recovery.messages:
