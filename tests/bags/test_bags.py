@@ -16,16 +16,16 @@ from trackslip_tools.cli.main import main
 
 BAGS = Path(__file__).parents[2] / "bags"
 MANIFEST: dict[str, Any] = yaml.safe_load((BAGS / "manifest.yaml").read_text(encoding="utf-8"))
-MOST_BYTES = 5_500_000  # total of all runs
+MAX_BYTES = 5_500_000  # total of all runs
 
 each = pytest.mark.parametrize("name", MANIFEST["bags"])
 
 
 def test_the_manifest_names_every_file_and_they_are_small() -> None:
     named = {BAGS / name / file for name, bag in MANIFEST["bags"].items() for file in bag["sha256"]}
-    there = {path for path in BAGS.rglob("*") if path.is_file()}
-    assert there - named == {BAGS / "manifest.yaml", *(BAGS / "scenarios").iterdir()}
-    assert sum(path.stat().st_size for path in there) <= MOST_BYTES
+    present = {path for path in BAGS.rglob("*") if path.is_file()}
+    assert present - named == {BAGS / "manifest.yaml", *(BAGS / "scenarios").iterdir()}
+    assert sum(path.stat().st_size for path in present) <= MAX_BYTES
     scenarios = {bag["made"]["scenario"] for bag in MANIFEST["bags"].values()}
     assert {f"scenarios/{path.name}" for path in (BAGS / "scenarios").iterdir()} <= scenarios
 
@@ -48,19 +48,19 @@ def test_bag_matches_the_counts_of_the_manifest(name: str) -> None:
 
 @each
 def test_replays_to_the_expected_numbers(name: str, tmp_path: Path) -> None:
-    assert main(["replay", str(BAGS / name), "--json", str(tmp_path / "found.json")]) == ExitCode.DONE
-    found, expected = json.loads((tmp_path / "found.json").read_text()), MANIFEST["bags"][name]["replay"]
-    within = MANIFEST["tolerances"]
+    assert main(["replay", str(BAGS / name), "--json", str(tmp_path / "result.json")]) == ExitCode.DONE
+    result, expected = json.loads((tmp_path / "result.json").read_text()), MANIFEST["bags"][name]["replay"]
+    tolerances = MANIFEST["tolerances"]
     kinds = {"x": "position", "y": "position", "yaw": "heading", "heading": "heading"}
     kinds |= dict.fromkeys(("left_slip", "right_slip", "slip"), "slip")
     for group in ("final", "rmse"):
         for key, value in expected[group].items():
-            assert found[group][key] == pytest.approx(value, abs=within[kinds.get(key, "position")]), (
+            assert result[group][key] == pytest.approx(value, abs=tolerances[kinds.get(key, "position")]), (
                 group,
                 key,
             )
-    assert found["nees"] == pytest.approx(expected["nees"], abs=within["nees"])
-    assert found["rejected"] == expected["rejected"]
+    assert result["nees"] == pytest.approx(expected["nees"], abs=tolerances["nees"])
+    assert result["rejected"] == expected["rejected"]
 
 
 def test_bags_include_a_truncated_one_and_one_with_failing_sensors() -> None:

@@ -23,7 +23,7 @@ from trackslip_common.errors import InputError
 TEXT = "std_msgs/msg/String"
 TOPICS = ("/a", "/b", "/c")
 
-Found = list[tuple[str, int, bytes]]
+Messages = list[tuple[str, int, bytes]]
 """Topic, log time, CDR."""
 
 
@@ -52,7 +52,7 @@ recordings = st.builds(
     st.sampled_from((IndexType.ALL, IndexType.ALL, IndexType.CHUNK, IndexType.NONE)),
     st.booleans(),
 )
-wishes = st.sets(st.sampled_from((*TOPICS, "b", "/none")))
+topic_sets = st.sets(st.sampled_from((*TOPICS, "b", "/none")))
 
 
 @contextmanager
@@ -76,10 +76,10 @@ def written(recorded: Recorded) -> Iterator[Path]:
         yield path
 
 
-def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
+def at_once(bag: Bag, topics: set[str], *span: int) -> Messages | str:
     """The messages of all stretches, in log order, or the error."""
     requested = [topic for topic in bag.topics if topic in {f"/{t.removeprefix('/')}" for t in topics}]
-    found: Found = []
+    messages: Messages = []
     try:
         for stretch in read_stretches(bag, topics, *span):
             content = stretch.buffer.tobytes()
@@ -87,13 +87,13 @@ def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
             assert (stretch.log_times_ns < stretch.until_ns).all()
             columns = (stretch.topics, stretch.log_times_ns, stretch.starts)
             for topic, time_ns, start, end in zip(*(c.tolist() for c in columns), ends, strict=True):
-                found.append((requested[topic], time_ns, content[start:end]))
+                messages.append((requested[topic], time_ns, content[start:end]))
     except InputError as error:
         return str(error)
-    return found
+    return messages
 
 
-def one_by_one(bag: Bag, topics: set[str], *span: int) -> Found | str:
+def one_by_one(bag: Bag, topics: set[str], *span: int) -> Messages | str:
     try:
         return [(m.topic, m.log_time_ns, m.raw) for m in bag.messages(topics, *span)]
     except InputError as error:
@@ -108,7 +108,7 @@ def stretches_of(ns: int) -> Iterator[None]:
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
-@given(recordings, wishes, st.integers(1, 30))
+@given(recordings, topic_sets, st.integers(1, 30))
 def test_whole_files(recorded: Recorded, topics: set[str], stretch_ns: int) -> None:
     with written(recorded) as path, open_bag(path) as bag, stretches_of(stretch_ns):
         assert at_once(bag, topics) == one_by_one(bag, topics)
@@ -127,7 +127,7 @@ def test_a_part_of_a_file(recorded: Recorded, start: int, stop: int, stretch_ns:
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
-@given(recordings, wishes, st.floats(0.0, 1.0), st.integers(0, 255))
+@given(recordings, topic_sets, st.floats(0.0, 1.0), st.integers(0, 255))
 def test_cut_and_damaged_files(recorded: Recorded, topics: set[str], at: float, value: int) -> None:
     """Files are truncated at a place or have another value there; both ways give the same error."""
     with written(recorded) as path, stretches_of(5):

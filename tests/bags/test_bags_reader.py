@@ -113,22 +113,22 @@ def test_messages_come_whatever_the_metadata_state_of_their_topic(
                 writer.write(connection, k, text(f"{topic} {k}"))
     path = tmp_path / "bag" / "metadata.yaml"
     tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    about = tree["rosbag2_bagfile_information"]
-    del about["topics_with_message_count"][1:]
-    first = about["topics_with_message_count"][0]
+    information = tree["rosbag2_bagfile_information"]
+    del information["topics_with_message_count"][1:]
+    first = information["topics_with_message_count"][0]
     first["message_count"], first["topic_metadata"]["offered_qos_profiles"] = 99, OTHER_QOS
     packed = compression is not CompressionMode.NONE
-    for level in (about, first["topic_metadata"]):
+    for level in (information, first["topic_metadata"]):
         for name, since in SINCE.items():
             if version < since and not (packed and name.startswith("compression")):
                 level.pop(name, None)
-    about["version"] = version
+    information["version"] = version
     path.write_text(yaml.safe_dump(tree), encoding="utf-8")
     with open_bag(tmp_path / "bag") as bag:
         assert bag.damage == ""
         assert {name: info.count for name, info in bag.topics.items()} == {"/a": 3, "/b": 3}
-        found = [bag.deserialize(m.raw, TEXT).data for m in bag.messages()]
-        assert sorted(found) == [f"{topic} {k}" for topic in ("/a", "/b") for k in range(3)]
+        texts = [bag.deserialize(m.raw, TEXT).data for m in bag.messages()]
+        assert sorted(texts) == [f"{topic} {k}" for topic in ("/a", "/b") for k in range(3)]
 
 
 @pytest.mark.parametrize(("storage", "compression"), FORMS)
@@ -138,7 +138,7 @@ def test_split_bags_of_others_open(
     """``ros2 bag record --max-bag-size`` writes one ``metadata.yaml`` for all files."""
     whole = tmp_path / "split"
     whole.mkdir()
-    found: list[dict[str, Any]] = []
+    metadata: list[dict[str, Any]] = []
     for k in range(3):
         writer = Writer(tmp_path / f"split_{k}", version=9, storage_plugin=storage)
         writer.set_compression(compression, CompressionFormat.ZSTD)
@@ -146,13 +146,13 @@ def test_split_bags_of_others_open(
             connection = writer.add_connection("/a", TEXT, typestore=typestore())
             for i in range(2):
                 writer.write(connection, 100 * k + i, text(f"{k}{i}"))
-        about = yaml.safe_load((writer.path / "metadata.yaml").read_text(encoding="utf-8"))
-        found.append(about["rosbag2_bagfile_information"])
-        (file,) = found[-1]["relative_file_paths"]
+        tree = yaml.safe_load((writer.path / "metadata.yaml").read_text(encoding="utf-8"))
+        metadata.append(tree["rosbag2_bagfile_information"])
+        (file,) = metadata[-1]["relative_file_paths"]
         shutil.move(writer.path / file, whole / file)
-    first = found[0]
-    first["relative_file_paths"] = [about["relative_file_paths"][0] for about in found]
-    first["files"] = [about["files"][0] for about in found]
+    first = metadata[0]
+    first["relative_file_paths"] = [tree["relative_file_paths"][0] for tree in metadata]
+    first["files"] = [tree["files"][0] for tree in metadata]
     first["duration"], first["message_count"] = {"nanoseconds": 201}, 6
     first["topics_with_message_count"][0]["message_count"] = 6
     (whole / "metadata.yaml").write_text(
@@ -190,24 +190,24 @@ def test_topics_and_times_are_selected(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("with_metadata", [True, False])
-@pytest.mark.parametrize("kept", [0.15, 0.3, 0.5, 0.7, 0.9, 0.99])
+@pytest.mark.parametrize("share", [0.15, 0.3, 0.5, 0.7, 0.9, 0.99])
 def test_a_cut_file_opens_up_to_its_last_whole_chunk(
-    tmp_path: Path, kept: float, with_metadata: bool
+    tmp_path: Path, share: float, with_metadata: bool
 ) -> None:
     path = write_long(tmp_path / "bag")
     file = path / "bag_0.mcap"
     data = file.read_bytes()
-    file.write_bytes(data[: int(len(data) * kept)])
+    file.write_bytes(data[: int(len(data) * share)])
     if not with_metadata:
         (path / "metadata.yaml").unlink()
     with open_bag(path) as bag:
         assert bag.damage == "bag_0.mcap: cut short"
-        found = times(bag)
-        assert len(found) % 50 == 0
-        assert found == [i * 10 * MS for i in range(len(found))]
-        assert len(found) == bag.topics["/imu"].count == bag.message_count
-        assert len(found) * 10 * MS >= (kept - 0.3) * 4e9
-        assert bag.end_ns == found[-1]
+        log_times = times(bag)
+        assert len(log_times) % 50 == 0
+        assert log_times == [i * 10 * MS for i in range(len(log_times))]
+        assert len(log_times) == bag.topics["/imu"].count == bag.message_count
+        assert len(log_times) * 10 * MS >= (share - 0.3) * 4e9
+        assert bag.end_ns == log_times[-1]
         assert next(iter(bag.messages(start_ns=bag.end_ns))).log_time_ns == bag.end_ns
 
 

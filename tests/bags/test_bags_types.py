@@ -129,8 +129,8 @@ def test_a_bag_with_an_older_definition_is_read_by_its_own() -> None:
     older = MessageDefinition(MessageDefinitionFormat.MSG, "float64 left_slip\n")
     store = types.store_for("trackslip_msgs/msg/TrackSlip", older)
     raw = b"\x00\x01\x00\x00" + np.float64(0.5).tobytes()
-    found: Any = store.deserialize_cdr(raw, "trackslip_msgs/msg/TrackSlip")
-    assert found.left_slip == 0.5
+    message: Any = store.deserialize_cdr(raw, "trackslip_msgs/msg/TrackSlip")
+    assert message.left_slip == 0.5
     assert messages.make("trackslip_msgs/msg/TrackSlip").right_slip == 0.0
 
 

@@ -33,8 +33,8 @@ def of_speeds(speeds: np.ndarray, t: np.ndarray = T) -> float:
 def test_counts_of_any_size_are_found_in_logs_of_some_digits(case: tuple[int, int]) -> None:
     counts, digits = case
     resolution = math.tau / counts
-    found = encoder_resolution(sprockets(np.round(np.floor(ANGLES / resolution) * resolution, digits)))
-    assert found == pytest.approx(resolution, rel=1e-6 if digits > 4 else 0.01)
+    estimate = encoder_resolution(sprockets(np.round(np.floor(ANGLES / resolution) * resolution, digits)))
+    assert estimate == pytest.approx(resolution, rel=1e-6 if digits > 4 else 0.01)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.003])

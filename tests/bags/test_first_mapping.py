@@ -15,7 +15,7 @@ from trackslip_common.errors import InputError
 SIDES = ("left_velocity", "right_velocity")
 
 
-def made(folder: Path, names: str, rows: str = "") -> FirstMapping:
+def mapping_of(folder: Path, names: str, rows: str = "") -> FirstMapping:
     log = folder / "log.csv"
     rows = rows or ",".join("1" for _ in names.split(","))
     log.write_text(f"{names}\n{rows}\n", encoding="utf-8")
@@ -23,7 +23,7 @@ def made(folder: Path, names: str, rows: str = "") -> FirstMapping:
 
 
 @pytest.mark.parametrize(
-    ("names", "found", "guesses"),
+    ("names", "columns", "guesses"),
     [
         ("t,v_left,v_right", {"time": "t, s", SIDES[0]: "v_left, m/s", SIDES[1]: "v_right, m/s"}, 3),
         ("time_ms,left_kmh,right_kmh", {"time": "time_ms, ms", SIDES[0]: "left_kmh, km/h"}, 0),
@@ -46,10 +46,10 @@ def made(folder: Path, names: str, rows: str = "") -> FirstMapping:
     ],
 )
 def test_columns_are_found_by_their_names(
-    names: str, found: dict[str, str], guesses: int, tmp_path: Path
+    names: str, columns: dict[str, str], guesses: int, tmp_path: Path
 ) -> None:
-    first = made(tmp_path, names)
-    assert first.found.items() >= found.items()
+    first = mapping_of(tmp_path, names)
+    assert first.columns.items() >= columns.items()
     assert len(first.guessed) == guesses
 
 
@@ -75,8 +75,8 @@ def test_columns_are_found_by_their_names(
 def test_the_unit_of_times_is_that_of_their_values(
     time: str, first: str, second: str, unit: str, tmp_path: Path
 ) -> None:
-    found = made(tmp_path, f"{time},v_left_mps,v_right_mps", f"{first},0.5,0.5\n{second},0.5,0.5")
-    assert found.found["time"] == f"{time}, {unit}"
+    mapping = mapping_of(tmp_path, f"{time},v_left_mps,v_right_mps", f"{first},0.5,0.5\n{second},0.5,0.5")
+    assert mapping.columns["time"] == f"{time}, {unit}"
 
 
 @pytest.mark.parametrize(
@@ -88,8 +88,8 @@ def test_the_unit_of_times_is_that_of_their_values(
     ],
 )
 def test_times_in_two_columns_are_added(names: str, row: str, unit: object, tmp_path: Path) -> None:
-    found = made(tmp_path, f"{names},v_left_mps,v_right_mps", f"{row},0.5,0.5")
-    assert yaml.safe_load(found.text)["time"] == {"column": names.split(","), "unit": unit}
+    mapping = mapping_of(tmp_path, f"{names},v_left_mps,v_right_mps", f"{row},0.5,0.5")
+    assert yaml.safe_load(mapping.text)["time"] == {"column": names.split(","), "unit": unit}
 
 
 @pytest.mark.parametrize(
@@ -113,9 +113,9 @@ def test_times_in_two_columns_are_added(names: str, row: str, unit: object, tmp_
 def test_sides_are_found_in_the_words_of_the_log(
     left: str, right: str, field: str, unit: str, tmp_path: Path
 ) -> None:
-    found = made(tmp_path, f"t_s,{right},{left}").found
-    assert found[f"left_{field}"] == f"{left}, {unit}"
-    assert found[f"right_{field}"] == f"{right}, {unit}"
+    columns = mapping_of(tmp_path, f"t_s,{right},{left}").columns
+    assert columns[f"left_{field}"] == f"{left}, {unit}"
+    assert columns[f"right_{field}"] == f"{right}, {unit}"
 
 
 @pytest.mark.parametrize(
@@ -138,16 +138,16 @@ def test_other_quantities_are_found_with_their_scales(
     name: str, value: str, field: str, entry: dict[str, object], tmp_path: Path
 ) -> None:
     names = f"t_s,v_left_mps,v_right_mps,{name},Länge"
-    topics = yaml.safe_load(made(tmp_path, names, f"0,0.5,0.5,{value},11.5").text)["topics"]
-    found = {field: entry for topic in topics.values() for field, entry in topic.items()}
-    assert found[field] == {"column": name, **entry}
+    topics = yaml.safe_load(mapping_of(tmp_path, names, f"0,0.5,0.5,{value},11.5").text)["topics"]
+    entries = {field: entry for topic in topics.values() for field, entry in topic.items()}
+    assert entries[field] == {"column": name, **entry}
 
 
 @pytest.mark.parametrize(
     "name", ["Kurs", "cmd_yaw_rate", "std_lat", "linear_acceleration.z", "yaw_rate_setpoint"]
 )
 def test_commands_courses_and_deviations_are_not_used(name: str, tmp_path: Path) -> None:
-    assert made(tmp_path, f"t_s,v_left_mps,v_right_mps,{name},lon").unused == (name, "lon")
+    assert mapping_of(tmp_path, f"t_s,v_left_mps,v_right_mps,{name},lon").unused == (name, "lon")
 
 
 def test_decimal_commas_are_stated(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_decimal_commas_are_stated(tmp_path: Path) -> None:
     ],
 )
 def test_a_first_mapping_is_one_that_import_accepts(names: str, tmp_path: Path) -> None:
-    first, path = made(tmp_path, names), tmp_path / "mapping.yaml"
+    first, path = mapping_of(tmp_path, names), tmp_path / "mapping.yaml"
     path.write_text(first.text, encoding="utf-8")
     topics = read_mapping(path).topics
     assert set(topics) == set(yaml.safe_load(first.text)["topics"])
@@ -176,11 +176,11 @@ def test_a_first_mapping_is_one_that_import_accepts(names: str, tmp_path: Path) 
 
 def test_a_log_without_speeds_is_refused_with_its_columns(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"left_velocity or left_position.* among t, left_pressure, lat"):
-        made(tmp_path, "t,left_pressure,lat")
+        mapping_of(tmp_path, "t,left_pressure,lat")
 
 
 def test_counts_are_turns_of_a_guessed_number_and_differences_are_increments(tmp_path: Path) -> None:
-    first = made(tmp_path, "t,left_delta_ticks,right_delta_ticks")
+    first = mapping_of(tmp_path, "t,left_delta_ticks,right_delta_ticks")
     mapping = yaml.safe_load(first.text)
     left = mapping["topics"]["sprockets"]["left_position"]
     assert left == {"column": "left_delta_ticks", "unit": "rev", "scale": 0.001, "increments": True}
@@ -188,11 +188,11 @@ def test_counts_are_turns_of_a_guessed_number_and_differences_are_increments(tmp
 
 
 def test_half_a_pair_is_not_used(tmp_path: Path) -> None:
-    first = made(tmp_path, "t,v_left,v_right,lat,x,left_ticks")
+    first = mapping_of(tmp_path, "t,v_left,v_right,lat,x,left_ticks")
     assert set(first.unused) == {"lat", "x", "left_ticks"}
 
 
 def test_positions_are_as_accurate_as_the_localizer_assumes_without_a_covariance(tmp_path: Path) -> None:
-    topics = yaml.safe_load(made(tmp_path, "t,v_left,v_right,lat_deg,lon_deg").text)["topics"]
+    topics = yaml.safe_load(mapping_of(tmp_path, "t,v_left,v_right,lat_deg,lon_deg").text)["topics"]
     assumed = node_defaults("gnss_localizer", "gnss_localizer.yaml")["assumed_stddev.single"]
     assert topics["gnss_pose"]["stddev"] == {"x": assumed, "y": assumed}

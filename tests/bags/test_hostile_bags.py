@@ -52,11 +52,11 @@ def read_all(path: Path) -> None:
 def pipe(tmp_path: Path) -> Callable[[str], Path]:
     """A function that makes a named pipe without a writer."""
 
-    def made(name: str) -> Path:
+    def make_pipe(name: str) -> Path:
         os.mkfifo(tmp_path / name)
         return tmp_path / name
 
-    return made
+    return make_pipe
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_metadata_with_absurd_values_do_not_hide_the_messages(
     text = file.read_text(encoding="utf-8")
     assert stated in text
     file.write_text(text.replace(stated, instead), encoding="utf-8")
-    is_read_without_metadata(tmp_path / "bag")
+    assert_is_read_without_metadata(tmp_path / "bag")
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_metadata_with_absurd_entries_do_not_hide_the_messages(tmp_path: Path, n
     tree = yaml.safe_load(file.read_text(encoding="utf-8"))
     tree["rosbag2_bagfile_information"][name] = value
     file.write_text(yaml.safe_dump(tree), encoding="utf-8")
-    is_read_without_metadata(tmp_path / "bag")
+    assert_is_read_without_metadata(tmp_path / "bag")
 
 
 @pytest.mark.parametrize(
@@ -111,10 +111,10 @@ def test_metadata_with_absurd_entries_do_not_hide_the_messages(tmp_path: Path, n
 )
 def test_messages_are_read_beside_unparsable_metadata(tmp_path: Path, content: str) -> None:
     (text_bag(tmp_path / "bag") / METADATA).write_text(content, encoding="utf-8")
-    is_read_without_metadata(tmp_path / "bag")
+    assert_is_read_without_metadata(tmp_path / "bag")
 
 
-def is_read_without_metadata(path: Path) -> None:
+def assert_is_read_without_metadata(path: Path) -> None:
     with open_bag(path) as bag:
         assert "metadata" in bag.damage
         assert bag.damage.isprintable()

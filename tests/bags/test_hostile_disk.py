@@ -65,8 +65,8 @@ def test_oldest_bags_are_removed_first_except_the_open_one() -> None:
         RecordedFile(busy / "busy_0.mcap", 100, 980.0),
     ]
 
-    def removed(most: int) -> list[str]:
-        return [file.name for file in files_over_budget(files, most, bag, writing, now_s=1000.0)]
+    def removed(max_size: int) -> list[str]:
+        return [file.name for file in files_over_budget(files, max_size, bag, writing, now_s=1000.0)]
 
     assert removed(500) == []
     assert removed(499) == ["other_0.mcap"]

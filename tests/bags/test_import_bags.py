@@ -66,12 +66,12 @@ def changed(**topics: Any) -> dict[str, Any]:
 def imported(log: Path, folder: Path, mapping: dict[str, Any] = MAPPING) -> tuple[Imported, dict[str, Any]]:
     """The importer's result, and all messages by topic, each with its log time."""
     (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "bag")
+    result = import_log([log], read_mapping(folder / "map.yaml"), folder / "bag")
     messages: dict[str, list[tuple[int, Any]]] = {}
     with open_bag(folder / "bag") as bag:
         for m in bag.messages():
             messages.setdefault(m.topic, []).append((m.log_time_ns, bag.deserialize(m.raw, m.type_name)))
-    return found, messages
+    return result, messages
 
 
 def test_joints_become_sprockets(log: Path, tmp_path: Path) -> None:
@@ -84,12 +84,12 @@ def test_joints_become_sprockets(log: Path, tmp_path: Path) -> None:
 
 
 def test_every_message_keeps_how_late_it_was(log: Path, tmp_path: Path) -> None:
-    found, messages = imported(log, tmp_path)
+    result, messages = imported(log, tmp_path)
     for topic, late_ns in (("/imu/data_raw", IMU_LATE_NS), ("/mocap_pose", POSE_LATE_NS)):
         lateness = [log_time_ns - stamp_ns_of(m) for log_time_ns, m in messages[topic]]
         assert set(lateness) == {late_ns}
-        assert found.lateness[topic].median == pytest.approx(late_ns * 1e-9)
-    assert "/reference_pose" not in found.lateness
+        assert result.lateness[topic].median == pytest.approx(late_ns * 1e-9)
+    assert "/reference_pose" not in result.lateness
     assert stamp_ns_of(messages["/sprockets"][0][1]) == EPOCH_NS
 
 
@@ -119,9 +119,9 @@ def test_imu_and_poses_come_with_their_covariances(log: Path, tmp_path: Path) ->
 def test_positions_or_velocities_are_sufficient(log: Path, tmp_path: Path, use: str) -> None:
     sprockets = {**MAPPING["topics"]["sprockets"], "use": use}
     _, messages = imported(log, tmp_path, changed(sprockets=sprockets))
-    found = [m for _, m in messages["/sprockets"]]
-    assert len(found[0].position) == (2 if use == "positions" else 0)
-    np.testing.assert_allclose([m.velocity for m in found[1:]], TRUTH.wheels[1:], atol=1e-5)
+    imported_sprockets = [m for _, m in messages["/sprockets"]]
+    assert len(imported_sprockets[0].position) == (2 if use == "positions" else 0)
+    np.testing.assert_allclose([m.velocity for m in imported_sprockets[1:]], TRUTH.wheels[1:], atol=1e-5)
 
 
 def test_base_controller_speeds_become_sprocket_speeds(log: Path, tmp_path: Path) -> None:
@@ -133,14 +133,14 @@ def test_base_controller_speeds_become_sprocket_speeds(log: Path, tmp_path: Path
 
 def test_odometry_keeps_pose_variances_and_frame(log: Path, tmp_path: Path) -> None:
     _, messages = imported(log, tmp_path, changed(camera={"role": "odometry", "from": "/odom"}))
-    found = [m for _, m in messages["/camera"]]
-    places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in found]
+    odometry = [m for _, m in messages["/camera"]]
+    places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in odometry]
     np.testing.assert_array_equal(places, TRUTH.pose[:, :2])
-    turns = [2.0 * math.atan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w) for m in found]
+    turns = [2.0 * math.atan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w) for m in odometry]
     np.testing.assert_allclose(turns, TRUTH.pose[:, 2], atol=1e-12)
-    np.testing.assert_array_equal(found[0].twist.covariance, ODOM_COVARIANCE)
-    assert not found[0].pose.covariance.any()
-    assert {m.header.frame_id for m in found} == {"odom"}
+    np.testing.assert_array_equal(odometry[0].twist.covariance, ODOM_COVARIANCE)
+    assert not odometry[0].pose.covariance.any()
+    assert {m.header.frame_id for m in odometry} == {"odom"}
 
 
 def test_a_reference_of_positions_has_no_heading(log: Path, tmp_path: Path) -> None:
@@ -230,8 +230,8 @@ def test_split_bags_of_ros1_are_one_log(tmp_path: Path) -> None:
     parts = [Drive(*(column[rows] for column in TRUTH)) for rows in (slice(0, half), slice(half, None))]
     logs = [write_ros1(tmp_path / f"{k}.bag", part) for k, part in enumerate(parts)]
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAPPING), encoding="utf-8")
-    found = import_log(logs, read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
-    assert found.counts["/sprockets"] == len(TRUTH.t)
+    result = import_log(logs, read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+    assert result.counts["/sprockets"] == len(TRUTH.t)
 
 
 def test_a_cut_bag_of_ros1_names_what_mends_it(tmp_path: Path) -> None:

@@ -44,8 +44,8 @@ def imported(
 
 def covariance(message: Any) -> np.ndarray[Any, Any]:
     """(3, 3) covariance of x, y, yaw."""
-    found: np.ndarray[Any, Any] = message.pose.covariance.reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
-    return found
+    of_plane: np.ndarray[Any, Any] = message.pose.covariance.reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
+    return of_plane
 
 
 def test_several_files_have_their_own_columns_times_and_rates(tmp_path: Path) -> None:
@@ -60,8 +60,8 @@ def test_several_files_have_their_own_columns_times_and_rates(tmp_path: Path) ->
         "imu/data_raw": {"file": "imu*", "time": {"column": "stamp", "unit": "ms"}, **gyro},
         "gnss_pose": {"file": "gps*", **XY, "stddev": CERTAIN},
     }
-    found, messages = imported(tmp_path, files, topics)
-    assert found.counts == {"/sprockets": 2, "/imu/data_raw": 3, "/gnss_pose": 1}
+    result, messages = imported(tmp_path, files, topics)
+    assert result.counts == {"/sprockets": 2, "/imu/data_raw": 3, "/gnss_pose": 1}
     assert [stamp_ns_of(m) // 1_000_000 for m in messages["imu/data_raw"]] == [1000, 1010, 1020]
 
 
@@ -105,10 +105,10 @@ def test_a_blank_cell_is_no_value_in_this_row(tmp_path: Path) -> None:
     )
     pose = {**XY, "yaw": {"column": "yaw", "unit": "rad"}}
     stddev = {"x": {"column": "s", "unit": "m"}, "y": 0.3, "yaw": 0.05}
-    found, messages = imported(tmp_path, log, {"sprockets": WHEELS, "gnss_pose": {**pose, "stddev": stddev}})
+    result, messages = imported(tmp_path, log, {"sprockets": WHEELS, "gnss_pose": {**pose, "stddev": stddev}})
     assert [stamp_ns_of(m) // 10**9 for m in messages["sprockets"]] == [1, 2, 5]
-    assert found.left_out["/sprockets"] == {"some cells are blank": 1, "no time": 1}
-    assert found.left_out["/gnss_pose"] == {"no standard deviation of x above 0": 1}
+    assert result.left_out["/sprockets"] == {"some cells are blank": 1, "no time": 1}
+    assert result.left_out["/gnss_pose"] == {"no standard deviation of x above 0": 1}
     first, second = (np.diag(covariance(m)) for m in messages["gnss_pose"])
     np.testing.assert_allclose(first, (0.04, 0.09, 1e6))
     np.testing.assert_allclose(second, (0.01, 0.09, 0.0025))
@@ -177,7 +177,7 @@ def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> 
     }
     for number, datum in enumerate(("first", {"latitude": 48.0, "longitude": 11.0})):
         (folder := tmp_path / str(number)).mkdir()
-        found, messages = imported(folder, log, topics, datum=datum)
+        result, messages = imported(folder, log, topics, datum=datum)
         fixes, poses = messages["fix"], messages["gnss_pose"]
         assert [m.status.status for m in fixes] == [2, 2, 2]
         assert (fixes[1].latitude, fixes[1].position_covariance_type) == (pytest.approx(48.01666667), 2)
@@ -189,9 +189,9 @@ def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> 
         turns = [2.0 * math.atan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w) for m in poses]
         np.testing.assert_allclose(turns, (math.pi / 2.0, 0.0, 0.0), atol=1e-9)
         assert [covariance(m)[2, 2] for m in poses] == pytest.approx([1e-4, 1e-4, 1e6])
-        assert found.left_out["/gnss_pose"] == {"latitude and longitude are 0": 1}
-        assert found.datum is not None
-        assert found.datum[:2] == (pytest.approx(48.0), pytest.approx(11.0))
+        assert result.left_out["/gnss_pose"] == {"latitude and longitude are 0": 1}
+        assert result.datum is not None
+        assert result.datum[:2] == (pytest.approx(48.0), pytest.approx(11.0))
 
 
 def test_a_latitude_in_another_unit_is_named(tmp_path: Path) -> None:
@@ -220,9 +220,9 @@ def test_receive_time_of_a_row_is_kept(tmp_path: Path) -> None:
     """Stamps may then decrease; the bag has the order of arrival."""
     pose = {**XY, "stddev": CERTAIN, "received": {"column": "rx", "unit": "s"}}
     log = "t,rx,x,y\n1,1.5,1,0\n3,3.1,2,0\n2,3.2,3,0\n"
-    found, messages = imported(tmp_path, log, {"gnss_pose": pose})
+    result, messages = imported(tmp_path, log, {"gnss_pose": pose})
     assert [m.pose.pose.position.x for m in messages["gnss_pose"]] == [1, 2, 3]
-    assert found.lateness["/gnss_pose"].longest == pytest.approx(1.2)
+    assert result.lateness["/gnss_pose"].longest == pytest.approx(1.2)
 
 
 TIMES = {
@@ -267,10 +267,10 @@ def test_what_is_no_time_is_refused(cell: str) -> None:
 @given(st.text(max_size=30), st.sampled_from([*UNITS["time"], "iso8601"]))
 def test_no_cell_is_worse_than_a_wrong_time(cell: str, unit: str) -> None:
     try:
-        found = time_ns([cell], TimeColumn(("t",), (unit,)))
+        time = time_ns([cell], TimeColumn(("t",), (unit,)))
     except ValueError:
         return
-    assert abs(found) < 2**63
+    assert abs(time) < 2**63
 
 
 HEADS = {
@@ -297,19 +297,19 @@ HEADS = {
 
 @pytest.mark.parametrize("habit", HEADS)
 def test_habits_of_those_who_write_logs(tmp_path: Path, habit: str) -> None:
-    found, messages = imported(tmp_path, HEADS[habit], {"sprockets": WHEELS})
+    result, messages = imported(tmp_path, HEADS[habit], {"sprockets": WHEELS})
     (only,) = messages["sprockets"]
     assert (stamp_ns_of(only), list(only.velocity)) == (10**9, [2.0, 3.0])
-    assert bool(found.notes) == (habit in ("units", "cut off"))
+    assert bool(result.notes) == (habit in ("units", "cut off"))
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "cp1252"])
 def test_tables_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
     (tmp_path / "log.csv").write_bytes("t,l,r,°\n1,2,3,4\n".encode(encoding))
     topics = {"sprockets": WHEELS, "swing": {"angle": {"column": "°", "unit": "deg"}}}
-    found, _ = import_logs(tmp_path, tmp_path / "log.csv", time=T, topics=topics)
-    assert found.counts == {"/sprockets": 1, "/swing": 1}
-    assert any("cp1252" in note for note in found.notes) == (encoding == "cp1252")
+    result, _ = import_logs(tmp_path, tmp_path / "log.csv", time=T, topics=topics)
+    assert result.counts == {"/sprockets": 1, "/swing": 1}
+    assert any("cp1252" in note for note in result.notes) == (encoding == "cp1252")
 
 
 DIALECTS = {
@@ -361,22 +361,22 @@ def test_times_that_lost_their_digits_are_refused_with_their_count(tmp_path: Pat
 
 def test_rows_that_share_a_time_are_counted(tmp_path: Path) -> None:
     log = "t,l,r\n" + "".join(f"{k // 5 / 2},2,3\n" for k in range(60))
-    found, messages = imported(tmp_path, log, {"sprockets": WHEELS})
+    result, messages = imported(tmp_path, log, {"sprockets": WHEELS})
     assert len(messages["sprockets"]) == 60
-    assert found.notes == ["sprockets: 48 of 60 rows share a time with the row before"]
+    assert result.notes == ["sprockets: 48 of 60 rows share a time with the row before"]
 
 
 def test_stated_values_are_read_as_missing(tmp_path: Path) -> None:
     log = "t,l,r\n" + "".join(
         f"{k},{2 if k % 5 == 0 else 0},{3 if k % 5 == 0 else -999}\n" for k in range(100)
     )
-    found, messages = imported(tmp_path, log, {"sprockets": WHEELS})
-    assert any("column 'l' is 0 in 80 % of its rows" in note for note in found.notes)
+    result, messages = imported(tmp_path, log, {"sprockets": WHEELS})
+    assert any("column 'l' is 0 in 80 % of its rows" in note for note in result.notes)
     (folder := tmp_path / "stated").mkdir()
     columns = {name: {**column, "missing": [0, -999]} for name, column in WHEELS.items()}
-    found, messages = imported(folder, log, {"sprockets": columns})
+    result, messages = imported(folder, log, {"sprockets": columns})
     assert [list(m.velocity) for m in messages["sprockets"]] == [[2.0, 3.0]] * 20
-    assert found.notes == []
+    assert result.notes == []
 
 
 def test_counts_of_each_interval_add_up(tmp_path: Path) -> None:
@@ -443,9 +443,9 @@ def test_the_mappings_of_the_project_are_read(name: str) -> None:
 
 @pytest.mark.parametrize("word", ["-", "--", "?", "#N/A", "#DIV/0!", "(null)", "1.#QNAN", "-1.#IND", "nil"])
 def test_words_for_no_value_leave_a_row_out(tmp_path: Path, word: str) -> None:
-    found, messages = imported(tmp_path, f"t,l,r\n1,2,3\n2,{word},3\n3,2,3\n", {"sprockets": WHEELS})
+    result, messages = imported(tmp_path, f"t,l,r\n1,2,3\n2,{word},3\n3,2,3\n", {"sprockets": WHEELS})
     assert len(messages["sprockets"]) == 2
-    assert found.left_out == {"/sprockets": {"some cells are blank": 1}}
+    assert result.left_out == {"/sprockets": {"some cells are blank": 1}}
 
 
 @pytest.mark.parametrize("behind", ["", '"a,b"'])
@@ -459,9 +459,9 @@ def test_rows_may_end_in_a_delimiter_that_the_header_has_not(tmp_path: Path, beh
 @pytest.mark.parametrize("last", ["", "4,2"])
 def test_zero_bytes_behind_the_last_row_are_noted(tmp_path: Path, zeros: int, last: str) -> None:
     log = "t,l,r\n1,2,3\n2,2,3\n3,2,3\n" + last + "\0" * zeros
-    found, messages = imported(tmp_path, log, {"sprockets": WHEELS})
+    result, messages = imported(tmp_path, log, {"sprockets": WHEELS})
     assert len(messages["sprockets"]) == 3
-    assert any("zero bytes" in note for note in found.notes)
+    assert any("zero bytes" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(

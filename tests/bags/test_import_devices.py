@@ -79,25 +79,25 @@ def test_logs_of_a_bus_are_read_by_dbc_and_roles(tmp_path: Path, name: str) -> N
 
 def test_times_of_candump_are_kept_and_moved_by_an_offset(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.log")
-    given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "time_offset": -0.5}
-    _, messages = imported(tmp_path, [log], can=given)
+    section = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "time_offset": -0.5}
+    _, messages = imported(tmp_path, [log], can=section)
     first = stamp_ns_of(messages["sprockets"][0])
     assert first == pytest.approx(BEGIN_NS + S - S // 2, abs=0.03 * S)
 
 
 def test_a_channel_that_has_no_frames_is_refused(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.log", "can1")
-    given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can0"}
+    section = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can0"}
     with pytest.raises(InputError, match=r"drive\.log: no frame of channel 'can0', but of can1"):
-        imported(tmp_path, [log], can=given)
+        imported(tmp_path, [log], can=section)
 
 
 def test_damaged_log_is_read_up_to_the_damage(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.log")
     log.write_bytes(log.read_bytes() + b"(17900 can0 what\n")
-    found, messages = imported(tmp_path, [log], can={})
+    result, messages = imported(tmp_path, [log], can={})
     assert len(messages["sprockets"]) >= 99
-    assert any("damaged behind frame" in note for note in found.notes)
+    assert any("damaged behind frame" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
@@ -126,9 +126,9 @@ def test_logs_of_one_drive_are_read_in_order_of_their_times(tmp_path: Path) -> N
 def test_a_blf_cut_short_is_named(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.blf")
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
-    found, messages = imported(tmp_path, [log], can={})
+    result, messages = imported(tmp_path, [log], can={})
     assert 0 < len(messages["sprockets"]) < 90
-    assert any("drive.blf: cut short" in note for note in found.notes)
+    assert any("drive.blf: cut short" in note for note in result.notes)
 
 
 def test_unreadable_lines_of_a_log_are_counted_and_not_printed(
@@ -137,9 +137,9 @@ def test_unreadable_lines_of_a_log_are_counted_and_not_printed(
     log = write_bus(tmp_path / "drive.trc")
     lines = log.read_bytes().splitlines(keepends=True)
     log.write_bytes(b"".join([*lines[:60], b"    7  70.0 DT 1 0CFF10\x1d \x1b[31m\n", *lines[60:]]))
-    found, messages = imported(tmp_path, [log], can={})
+    result, messages = imported(tmp_path, [log], can={})
     assert len(messages["sprockets"]) > 90
-    assert "drive.trc: 1 line cannot be read" in found.notes
+    assert "drive.trc: 1 line cannot be read" in result.notes
     assert "\x1b" not in "".join(capfd.readouterr()) + caplog.text
 
 
@@ -169,11 +169,11 @@ def test_an_mf4_cut_short_is_refused_in_one_line_or_read(tmp_path: Path, size: i
 
 def epochs(*encoders: Any, begin_ns: int = BEFORE_MIDNIGHT_NS, count: int = 20) -> bytes:
     """NMEA at 10 Hz of a drive eastward."""
-    found = b""
+    sentences = b""
     for k in range(count):
         at = Position(begin_ns + k * S // 10, 48.1, 11.6 + 1e-6 * k, 520.0, 4, 0.6, 0.01, 0.02, 90.0, 0.2)
-        found += b"".join(encode(at) for encode in encoders)
-    return found
+        sentences += b"".join(encode(at) for encode in encoders)
+    return sentences
 
 
 def rmc_of(day: str) -> Any:
@@ -192,7 +192,7 @@ def test_logs_of_a_receiver_are_read_over_midnight(tmp_path: Path, name: str) ->
         epochs(days[0], gga, gst, hdt, count=5)
         + epochs(days[1], gga, gst, hdt, begin_ns=86_400 * S, count=15)
     )
-    found, messages = imported(tmp_path, [log], gnss={}, datum={"latitude": 48.1, "longitude": 11.6})
+    result, messages = imported(tmp_path, [log], gnss={}, datum={"latitude": 48.1, "longitude": 11.6})
     expected = [DAY_NS + BEFORE_MIDNIGHT_NS + k * S // 10 for k in range(20)]
     assert [stamp_ns_of(m) for m in messages["fix"]] == expected
     assert [stamp_ns_of(m) for m in messages["heading"]] == expected
@@ -201,19 +201,19 @@ def test_logs_of_a_receiver_are_read_over_midnight(tmp_path: Path, name: str) ->
     assert messages["heading"][0].orientation.z == pytest.approx(0.0)
     assert [stamp_ns_of(m) for m in messages["fix_velocity"]] == expected
     assert messages["fix_velocity"][0].twist.covariance[7] == pytest.approx(0.05**2)
-    assert found.notes == []
+    assert result.notes == []
 
 
 def test_a_log_without_a_date_is_noted_or_has_that_of_the_mapping(tmp_path: Path) -> None:
     (tmp_path / "gnss.nmea").write_bytes(epochs(gga))
-    found, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss=None)
+    result, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss=None)
     assert stamp_ns_of(messages["fix"][0]) == BEFORE_MIDNIGHT_NS
-    assert any("no date" in note for note in found.notes)
+    assert any("no date" in note for note in result.notes)
     (folder := tmp_path / "dated").mkdir()
     sections = yaml.safe_load("gnss: {date: 2026-11-25, time_offset: 0.25}")
-    found, messages = imported(folder, [tmp_path / "gnss.nmea"], **sections)
+    result, messages = imported(folder, [tmp_path / "gnss.nmea"], **sections)
     assert stamp_ns_of(messages["fix"][0]) == DAY_NS + BEFORE_MIDNIGHT_NS + S // 4
-    assert found.notes == []
+    assert result.notes == []
 
 
 @pytest.mark.parametrize(
@@ -276,8 +276,8 @@ def test_logs_of_several_kinds_go_together(tmp_path: Path) -> None:
     (folder / "imu.csv").write_text("t,gz\n1,0.1\n2,0.2\n", encoding="utf-8")
     imu = {"angular_velocity_z": {"column": "gz", "unit": "rad/s"}}
     sections = {"can": {}, "gnss": {}, "topics": {"imu/data_raw": imu}, "time": {"column": "t", "unit": "s"}}
-    found, _ = imported(tmp_path, [folder], start=1_790_000_000.0, **sections)
-    counts = {topic: n for topic, n in found.counts.items() if topic not in LATCHED}
+    result, _ = imported(tmp_path, [folder], start=1_790_000_000.0, **sections)
+    counts = {topic: n for topic, n in result.counts.items() if topic not in LATCHED}
     of_bus, of_receiver = ("sprockets", "hydraulics", "swing"), ("fix", "fix_velocity", "gnss_pose")
     assert counts.keys() == {f"/{name}" for name in (*of_bus, *of_receiver, "imu/data_raw")}
 
@@ -324,9 +324,9 @@ def test_headings_without_positions_are_read(tmp_path: Path) -> None:
 def test_sentences_are_read_however_a_logger_frames_them(tmp_path: Path, logged: str) -> None:
     lines = epochs(rmc_of("251126"), gga, begin_ns=0).decode().splitlines()
     (tmp_path / "gnss.txt").write_text("".join(map(logged.format, lines)), newline="", encoding="ascii")
-    found, messages = imported(tmp_path, [tmp_path / "gnss.txt"], gnss={})
+    result, messages = imported(tmp_path, [tmp_path / "gnss.txt"], gnss={})
     assert [stamp_ns_of(m) for m in messages["fix"]] == [DAY_NS + k * S // 10 for k in range(20)]
-    assert found.notes == []
+    assert result.notes == []
 
 
 @pytest.mark.parametrize("day", ["060180", "220806", ""])
@@ -351,22 +351,22 @@ def test_each_session_of_a_log_is_of_the_day_that_it_states(tmp_path: Path) -> N
     for name, (day, begin) in parts.items():
         of_day = epochs(gga, rmc_of(day), begin_ns=begin * S, count=5)
         (tmp_path / f"{name}.nmea").write_bytes(of_day)
-    found, messages = imported(tmp_path, [tmp_path / f"{name}.nmea" for name in "abc"], gnss={})
+    result, messages = imported(tmp_path, [tmp_path / f"{name}.nmea" for name in "abc"], gnss={})
     expected = [
         DAY_NS + (days * 86_400 + begin) * S + k * S // 10
         for days, begin in ((0, 36_000), (2, 28_800), (3, 40_000))
         for k in range(5)
     ]
     assert [stamp_ns_of(m) for m in messages["fix"]] == expected
-    assert found.notes == []
+    assert result.notes == []
 
 
 def test_an_epoch_that_two_logs_hold_is_used_once(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / f"{name}.nmea").write_bytes(epochs(rmc_of("251126"), gga, begin_ns=0))
-    found, messages = imported(tmp_path, [tmp_path / "a.nmea", tmp_path / "b.nmea"], gnss={})
+    result, messages = imported(tmp_path, [tmp_path / "a.nmea", tmp_path / "b.nmea"], gnss={})
     assert len(messages["fix"]) == len(messages["fix_velocity"]) == 20
-    assert any("40 × an epoch" in note for note in found.notes)
+    assert any("40 × an epoch" in note for note in result.notes)
 
 
 MUTE: dict[str, tuple[bytes, str]] = {
@@ -381,8 +381,8 @@ def test_what_a_log_of_a_receiver_lacks_is_noted(tmp_path: Path, case: str) -> N
     content, words = MUTE[case]
     lines = [line[1 : line.index(b"*")].decode() for line in content.splitlines()]
     (tmp_path / "gnss.nmea").write_bytes(b"".join(map(sentence, lines)))
-    found, _ = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
-    assert any(re.search(words, note) for note in found.notes)
+    result, _ = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
+    assert any(re.search(words, note) for note in result.notes)
 
 
 FOREIGN = {
@@ -430,11 +430,11 @@ def test_times_of_asc_count_from_their_begin(tmp_path: Path, kind: str, month: s
     (tmp_path / "drive.asc").write_text(
         ASC.format(head=f"date {date}", kind=kind, date=date, frames=frames), encoding="utf-8"
     )
-    found, messages = imported(tmp_path, [tmp_path / "drive.asc"], can={})
+    result, messages = imported(tmp_path, [tmp_path / "drive.asc"], can={})
     steps = np.diff([stamp_ns_of(m) for m in messages["sprockets"]])
     np.testing.assert_allclose(steps, 0.02 * S, atol=0.002 * S)
     assert stamp_ns_of(messages["sprockets"][0]) == pytest.approx(begin_ns, abs=0.03 * S)
-    assert any("cannot be read" in note for note in found.notes) == (begin_ns == 0)
+    assert any("cannot be read" in note for note in result.notes) == (begin_ns == 0)
 
 
 def test_a_frame_on_two_channels_is_refused_with_both(tmp_path: Path) -> None:
@@ -442,8 +442,8 @@ def test_a_frame_on_two_channels_is_refused_with_both(tmp_path: Path) -> None:
     (tmp_path / "drive.log").write_text(lines + lines.replace("can0", "can1"), encoding="utf-8")
     with pytest.raises(InputError, match=r"comes on channels can0, can1; accepted: channel"):
         imported(tmp_path, [tmp_path / "drive.log"], can={})
-    given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can1"}
-    _, messages = imported(tmp_path, [tmp_path / "drive.log"], can=given)
+    section = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can1"}
+    _, messages = imported(tmp_path, [tmp_path / "drive.log"], can=section)
     assert abs(len(messages["sprockets"]) - 100) <= 1
 
 
@@ -463,13 +463,13 @@ BO_ 2566848510 Speeds: 8 MC
     (tmp_path / "j.dbc").write_text(dbc.replace("2566848510", str(0x98FF00FE)), encoding="utf-8")
     roles = {side: {"signal": f"Speeds.{side[0].upper()}"} for side in ("left_speed", "right_speed")}
     frames = {"Speeds": {"j1939": True}}
-    given = {"dbc": "j.dbc", "roles": "j.yaml"}
+    section = {"dbc": "j.dbc", "roles": "j.yaml"}
     (tmp_path / "j.yaml").write_text(yaml.safe_dump({"roles": roles, "frames": frames}), encoding="utf-8")
     with pytest.raises(InputError, match=r"'Speeds' comes from source addresses 0x21 and 0x22; set source"):
-        imported(tmp_path, [tmp_path / "drive.log"], can=given)
+        imported(tmp_path, [tmp_path / "drive.log"], can=section)
     one = {side: {**role, "source": 0x22} for side, role in roles.items()}
     (tmp_path / "j.yaml").write_text(yaml.safe_dump({"roles": one, "frames": frames}), encoding="utf-8")
-    _, messages = imported(tmp_path, [tmp_path / "drive.log"], can=given)
+    _, messages = imported(tmp_path, [tmp_path / "drive.log"], can=section)
     assert len(messages["sprockets"]) == 50
 
 

@@ -32,9 +32,9 @@ def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) ->
     turns = [heading(0.0, EAST, 0.0, 1e-5), heading(0.2, EAST, -1.0, 0.0), heading(0.4, NORTH, 0.0, 0.0)]
     turns.append(heading(0.6, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0))
     sent = (("/gps/heading", one) for one in turns)
-    found, messages = import_messages(tmp_path, sent, {"heading": {"from": "/gps/heading"}})
+    result, messages = import_messages(tmp_path, sent, {"heading": {"from": "/gps/heading"}})
     assert headings(messages) == [(0.0, 1e-5), (pytest.approx(math.pi / 2.0), UNKNOWN)]
-    assert found.left_out["/heading"] == {"states that it has no orientation": 1, "holds no orientation": 1}
+    assert result.left_out["/heading"] == {"states that it has no orientation": 1, "holds no orientation": 1}
     assert {m.header.frame_id for m in messages} == {"gps"}
     assert messages[0].angular_velocity_covariance[0] == -1.0
 
@@ -63,11 +63,11 @@ CSV: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("log", CSV)
 def test_columns_of_a_compass_are_headings(log: str, tmp_path: Path) -> None:
-    found, messages = import_csv(tmp_path, log, {"heading": CSV[log]})
+    result, messages = import_csv(tmp_path, log, {"heading": CSV[log]})
     first = UNKNOWN if "stddev" not in CSV[log] else math.radians(2.0) ** 2
     expected = [(math.pi / 2.0, first), (0.0, UNKNOWN)]
     assert [pytest.approx(one, abs=1e-8) for one in expected] == headings(messages)
-    assert found.left_out == ({"/heading": {"holds no orientation": 1}} if "qx" in log else {})
+    assert result.left_out == ({"/heading": {"holds no orientation": 1}} if "qx" in log else {})
 
 
 def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
@@ -77,10 +77,10 @@ def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
     states += [joints(0.3, ["boom"], [9.0], []), joints(0.4, names, [], [1.0, 1.0])]
     swing = {"from": "/joint_states", "joint": {"joints": "cab", "sign": -1, "ratio": 0.1}}
     sent = (("/joint_states", one) for one in states)
-    found, messages = import_messages(tmp_path, sent, {"swing": swing})
+    result, messages = import_messages(tmp_path, sent, {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, -0.05, -0.1])
-    assert found.left_out["/swing"] == {"has none of the joints": 1, "has no finite values": 1}
+    assert result.left_out["/swing"] == {"has none of the joints": 1, "has no finite values": 1}
 
 
 def test_swing_with_missing_joint_lists_available_joints(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "yaw"),
+    ("keys", "yaw"),
     [
         ({}, 0.5),
         ({"convention": "enu", "sign": -1}, -0.5),
@@ -107,12 +107,12 @@ def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
         ({"convention": "compass", "sign": -1}, math.pi / 2.0 + 0.5),
     ],
 )
-def test_the_convention_of_a_heading_is_stated(tmp_path: Path, given: dict[str, Any], yaw: float) -> None:
+def test_the_convention_of_a_heading_is_stated(tmp_path: Path, keys: dict[str, Any], yaw: float) -> None:
     turn = (0.0, 0.0, math.sin(0.25), math.cos(0.25))
     sent = [("/q", quaternion(0.0, turn)), ("/imu", heading(0.1, turn, 0.0, 1e-5))]
-    topics = {name: {"role": "heading", "from": f"/{name}", **given} for name in ("q", "imu")}
+    topics = {name: {"role": "heading", "from": f"/{name}", **keys} for name in ("q", "imu")}
     _, messages = import_messages(tmp_path, sent, topics)
-    assert [found for found, _ in headings(messages)] == pytest.approx([yaw, yaw])
+    assert [imported_yaw for imported_yaw, _ in headings(messages)] == pytest.approx([yaw, yaw])
 
 
 def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
@@ -123,18 +123,18 @@ def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
 
 def wheels(apart_s: float) -> list[tuple[str, Any]]:
     """Each wheel in its own message, that of the right one stamped ``apart_s`` later."""
-    found = []
+    messages = []
     for k in range(5):
-        found.append(("/wheels", joints(0.1 * k, ["left"], [1.0 + k], [])))
-        found.append(("/wheels", joints(0.1 * k + apart_s, ["right"], [2.0 + k], [])))
-    return found
+        messages.append(("/wheels", joints(0.1 * k, ["left"], [1.0 + k], [])))
+        messages.append(("/wheels", joints(0.1 * k + apart_s, ["right"], [2.0 + k], [])))
+    return messages
 
 
 def test_joints_in_messages_of_their_own_are_joined_by_stamp(tmp_path: Path) -> None:
     topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right", "use": "positions"}}
-    found, messages = import_messages(tmp_path, wheels(0.0)[:-1], topics)
+    result, messages = import_messages(tmp_path, wheels(0.0)[:-1], topics)
     assert [list(m.position) for m in messages] == [[1.0 + k, 2.0 + k] for k in range(4)]
-    assert list(found.left_out["/sprockets"].values()) == [1]
+    assert list(result.left_out["/sprockets"].values()) == [1]
 
 
 def test_joints_that_no_stamp_joins_are_refused(tmp_path: Path) -> None:

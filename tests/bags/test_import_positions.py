@@ -31,7 +31,7 @@ def import_fixes(folder: Path, fixes: list[Any], **more: Any) -> tuple[Imported,
 
 
 @pytest.fixture(params=["csv", "bag"])
-def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
+def import_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     """A function that imports a log of positions, CSV or bag."""
 
     def run(places: list[tuple[float, float]], **more: Any) -> tuple[Imported, list[Any]]:
@@ -45,10 +45,10 @@ def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     return run
 
 
-def test_datum_in_another_hemisphere_is_refused(of_places: Any, tmp_path: Path) -> None:
+def test_datum_in_another_hemisphere_is_refused(import_places: Any, tmp_path: Path) -> None:
     """One sign of the datum is wrong: the import fails and states both positions."""
     with pytest.raises(InputError) as caught:
-        of_places(NEAR, datum=WRONG_SIGN)
+        import_places(NEAR, datum=WRONG_SIGN)
     text = str(caught.value)
     assert "the first, at latitude -33.889000, longitude 151.193000 deg, is " in text
     assert f"{Reason.HEMISPHERE.value} (33.889000, 151.193000)" in text
@@ -57,43 +57,43 @@ def test_datum_in_another_hemisphere_is_refused(of_places: Any, tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_log_too_far_from_the_datum_is_refused(of_places: Any) -> None:
+def test_a_log_too_far_from_the_datum_is_refused(import_places: Any) -> None:
     with pytest.raises(InputError, match=r"is too far from the datum \(-35\.5"):
-        of_places(NEAR, datum={"latitude": -35.5, "longitude": 151.193})
+        import_places(NEAR, datum={"latitude": -35.5, "longitude": 151.193})
 
 
-def test_wild_positions_are_left_out_and_counted(of_places: Any) -> None:
+def test_wild_positions_are_left_out_and_counted(import_places: Any) -> None:
     """gnss_localizer has the same limit of distance."""
     wild = [(33.889, 151.193), (-35.0, 151.193)]
-    found, messages = of_places([*NEAR[:3], *wild, *NEAR[3:]], datum=AT_SITE)
-    assert found.left_out["/gnss_pose"] == {Reason.HEMISPHERE.value: 1, Reason.FAR.value: 1}
+    result, messages = import_places([*NEAR[:3], *wild, *NEAR[3:]], datum=AT_SITE)
+    assert result.left_out["/gnss_pose"] == {Reason.HEMISPHERE.value: 1, Reason.FAR.value: 1}
     assert len(messages) == len(NEAR)
     assert all(abs(m.pose.pose.position.y) < 10.0 for m in messages)
     assert node_defaults(NODE, f"{NODE}.yaml")["max_distance"] == 1e5
 
 
-def test_outlying_first_position_is_no_datum(of_places: Any) -> None:
-    found, messages = of_places([(33.889, 151.193), (10.0, 20.0), *NEAR])
-    assert found.datum is not None
-    assert found.datum[:2] == pytest.approx(NEAR[0])
-    assert sum(found.left_out["/gnss_pose"].values()) == 2
+def test_outlying_first_position_is_no_datum(import_places: Any) -> None:
+    result, messages = import_places([(33.889, 151.193), (10.0, 20.0), *NEAR])
+    assert result.datum is not None
+    assert result.datum[:2] == pytest.approx(NEAR[0])
+    assert sum(result.left_out["/gnss_pose"].values()) == 2
     assert len(messages) == len(NEAR)
 
 
-def test_positions_that_have_nothing_in_common_give_no_datum(of_places: Any) -> None:
+def test_positions_that_have_nothing_in_common_give_no_datum(import_places: Any) -> None:
     with pytest.raises(InputError, match="no position has half of the 6 within 100 km; accepted: datum"):
-        of_places([(10.0 * k, 20.0) for k in range(1, 7)])
+        import_places([(10.0 * k, 20.0) for k in range(1, 7)])
 
 
-def test_a_datum_at_a_pole_is_refused(of_places: Any) -> None:
+def test_a_datum_at_a_pole_is_refused(import_places: Any) -> None:
     with pytest.raises(InputError, match=r"datum: 89\.5, 0 is out of range; accepted: latitude in -89 … 89"):
-        of_places(NEAR, datum={"latitude": 89.5, "longitude": 0.0})
+        import_places(NEAR, datum={"latitude": 89.5, "longitude": 0.0})
 
 
 def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
     places = [NEAR[0], (-91.0, 151.0), *NEAR[1:]]
-    found, messages = import_fixes(tmp_path, [fix(0.2 * k, *at) for k, at in enumerate(places)])
-    assert found.left_out["/gnss_pose"] == {Reason.OUT_OF_RANGE.value: 1}
+    result, messages = import_fixes(tmp_path, [fix(0.2 * k, *at) for k, at in enumerate(places)])
+    assert result.left_out["/gnss_pose"] == {Reason.OUT_OF_RANGE.value: 1}
     assert len(messages) == len(NEAR)
 
 
@@ -101,8 +101,8 @@ def test_fix_without_covariance_does_not_refuse_the_bag(tmp_path: Path) -> None:
     """Such a fix is left out and counted, like such a row of a CSV log."""
     fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
     fixes[5].position_covariance[4] = math.nan
-    found, messages = import_fixes(tmp_path, fixes)
-    assert found.left_out["/gnss_pose"] == {"no variance of x above 0": 1, "no variance of y above 0": 1}
+    result, messages = import_fixes(tmp_path, fixes)
+    assert result.left_out["/gnss_pose"] == {"no variance of x above 0": 1, "no variance of y above 0": 1}
     assert len(messages) == len(NEAR) - 2
     assert messages[0].pose.covariance[0] == pytest.approx(4e-4)
 

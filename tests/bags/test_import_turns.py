@@ -27,8 +27,8 @@ def of_table(folder: Path, rows: list[str], topic: dict[str, Any]) -> list[Any]:
 
 
 def wrapped(first: float) -> np.ndarray[Any, Any]:
-    found: np.ndarray[Any, Any] = (ANGLES - first) % math.tau + first
-    return found
+    angles: np.ndarray[Any, Any] = (ANGLES - first) % math.tau + first
+    return angles
 
 
 def of_bag(folder: Path, angles: Any, speeds: list[float]) -> list[Any]:
@@ -44,16 +44,16 @@ def test_wrapping_positions_of_a_bag_are_continuous(
     first: float, speeds: list[float], tmp_path: Path
 ) -> None:
     """Each joint wraps at its own time and is unwrapped before the mean of the side and the ratio."""
-    found = of_bag(tmp_path, wrapped(first), speeds)
-    np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, 2.0), (len(T), 1)), atol=1e-9)
-    positions = np.array([m.position for m in found])
+    messages = of_bag(tmp_path, wrapped(first), speeds)
+    np.testing.assert_allclose([m.velocity for m in messages], np.tile((5.0, 2.0), (len(T), 1)), atol=1e-9)
+    positions = np.array([m.position for m in messages])
     np.testing.assert_allclose(positions - positions[0], np.outer(T, (5.0, 2.0)), atol=1e-9)
 
 
 def test_continuous_positions_of_a_bag_stay_as_they_are(tmp_path: Path) -> None:
-    found = of_bag(tmp_path, ANGLES, [])
+    messages = of_bag(tmp_path, ANGLES, [])
     means = np.column_stack(((ANGLES[:, 0] + ANGLES[:, 1]) / 2, (ANGLES[:, 2] + ANGLES[:, 3]) / 2 * 0.5))
-    assert np.array([m.position for m in found]).tobytes() == means.tobytes()
+    assert np.array([m.position for m in messages]).tobytes() == means.tobytes()
 
 
 @pytest.mark.parametrize(("unit", "turn"), [("rad", math.tau), ("deg", 360.0), ("rev", 1.0)])
@@ -66,10 +66,12 @@ def test_wrapping_positions_of_a_csv_log_are_continuous(unit: str, turn: float, 
         "left_position": {"column": "l", "unit": unit, "origin": "first"},
         "right_position": {"column": "r", "unit": unit, "scale": -0.25},
     }
-    found = of_table(tmp_path, rows, topic)
-    assert len(found) == len(T) - 1
-    np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, -1.0), (len(found), 1)), atol=1e-6)
-    assert found[0].position[0] == 0.0
+    messages = of_table(tmp_path, rows, topic)
+    assert len(messages) == len(T) - 1
+    np.testing.assert_allclose(
+        [m.velocity for m in messages], np.tile((5.0, -1.0), (len(messages), 1)), atol=1e-6
+    )
+    assert messages[0].position[0] == 0.0
 
 
 @pytest.mark.parametrize("bits", [8, 16, 24, 32])
@@ -84,8 +86,8 @@ def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Pa
     topic = {
         f"{side}_position": {"column": side[0], "unit": "rev", "scale": 1e-3} for side in ("left", "right")
     }
-    found = of_table(tmp_path, rows, topic)
-    positions = np.array([m.position for m in found])
+    messages = of_table(tmp_path, rows, topic)
+    positions = np.array([m.position for m in messages])
     turned = np.round(np.outer(T, speeds)) * math.tau / 1000.0
     np.testing.assert_allclose(positions - positions[0], turned, atol=1e-6)
 
@@ -93,5 +95,5 @@ def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Pa
 def test_positions_over_ground_have_no_turns(tmp_path: Path) -> None:
     """A jump of six metres is no wrap."""
     topic = {f"{side}_position": {"column": side[0], "unit": "m"} for side in ("left", "right")}
-    found = of_table(tmp_path, ["0,0,0", "0.5,6,0", "1,0.2,0"], topic)
-    assert [m.position[0] * 0.15 for m in found] == pytest.approx([0.0, 6.0, 0.2])
+    messages = of_table(tmp_path, ["0,0,0", "0.5,6,0", "1,0.2,0"], topic)
+    assert [m.position[0] * 0.15 for m in messages] == pytest.approx([0.0, 6.0, 0.2])

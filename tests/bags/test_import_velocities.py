@@ -43,9 +43,9 @@ def test_columns_of_a_receiver_are_velocities(log: str, tmp_path: Path) -> None:
 def test_column_of_a_radar_is_a_velocity_along_one_axis(tmp_path: Path) -> None:
     topics = {"radar": {"role": "velocity", "forward": {"column": "v", "unit": "m/s"}}}
     _, (message,) = import_csv(tmp_path, "t,v\n0,0.5\n", topics)
-    found = velocity_fix(message, "radar", RECEIVER)
-    assert isinstance(found, VelocityFix)
-    assert (found.velocity[0], found.covariance[1, 1]) == (0.5, UNOBSERVED)
+    velocity = velocity_fix(message, "radar", RECEIVER)
+    assert isinstance(velocity, VelocityFix)
+    assert (velocity.velocity[0], velocity.covariance[1, 1]) == (0.5, UNOBSERVED)
 
 
 def test_twists_of_a_bag_are_velocities(tmp_path: Path) -> None:
@@ -60,8 +60,8 @@ def test_twists_of_a_bag_are_velocities(tmp_path: Path) -> None:
 
     twists = [twist(0.0, 1.0, 0.04), twist(0.2, 2.0, -1.0), twist(0.4, math.nan, 0.04), twist(0.6, 3.0, 0.0)]
     sent = (("/gps/vel", one) for one in twists)
-    found, messages = import_messages(tmp_path, sent, {"fix_velocity": {"from": "/gps/vel"}})
+    result, messages = import_messages(tmp_path, sent, {"fix_velocity": {"from": "/gps/vel"}})
     assert [m.twist.twist.linear.x for m in messages] == [1.0, 3.0]
     assert [m.twist.covariance[0] for m in messages] == [0.04, 0.0]
     refused = {"states that it has no velocity": 1, "has no finite values": 1}
-    assert found.left_out["/fix_velocity"] == refused
+    assert result.left_out["/fix_velocity"] == refused

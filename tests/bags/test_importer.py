@@ -316,10 +316,10 @@ def test_the_commands_show_what_they_made(tmp_path: Path, capsys: pytest.Capture
     log, mapping, bag = (str(tmp_path / name) for name in ("log.csv", "map.yaml", "bag"))
     arguments = parsed(import_command, log, "--mapping", mapping, "--output", bag)
     assert import_command.run(arguments) == 0
-    made = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert info_command.run(parsed(info_command, bag)) == 0
-    assert capsys.readouterr().out in made
-    assert "/reference_pose" in made
+    assert capsys.readouterr().out in printed
+    assert "/reference_pose" in printed
     with pytest.raises(InputError, match="exists already"):
         import_command.run(arguments)
 

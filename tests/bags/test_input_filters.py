@@ -82,5 +82,5 @@ def test_remap_is_refused(text: str) -> None:
         (InputFilters(thin=(Thin("a", 1.0),)), True),
     ],
 )
-def test_edits_know_whether_live_can_be_compared(filters: InputFilters, changes: bool) -> None:
+def test_filters_that_change_the_inputs_are_known(filters: InputFilters, changes: bool) -> None:
     assert filters.changes_inputs is changes

@@ -37,13 +37,13 @@ def test_each_loss_is_reported_once() -> None:
 def test_log_times_increase_when_messages_wait_for_a_retransmission() -> None:
     """Message 1 is lost and sent again; 2 and 3 are received before it and delivered after it."""
     order = LogTimes()
-    came = {0: 10 * S, 1: 13 * S, 2: 11 * S, 3: 12 * S, 4: 14 * S}
-    logged = [order.log_time_ns("odometry", came_ns) for came_ns in came.values()]
+    received = {0: 10 * S, 1: 13 * S, 2: 11 * S, 3: 12 * S, 4: 14 * S}
+    logged = [order.log_time_ns("odometry", received_ns) for received_ns in received.values()]
     assert logged == [10 * S, 13 * S, 13 * S, 13 * S, 14 * S]
     assert order.log_time_ns("sprockets", 11 * S) == 11 * S
 
 
 def test_log_times_follow_a_clock_that_is_set_back() -> None:
     order = LogTimes()
-    came = (100 * S, 40 * S, 41 * S, 140 * S)
-    assert tuple(order.log_time_ns("odometry", came_ns) for came_ns in came) == came
+    received = (100 * S, 40 * S, 41 * S, 140 * S)
+    assert tuple(order.log_time_ns("odometry", received_ns) for received_ns in received) == received

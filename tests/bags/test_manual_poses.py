@@ -14,10 +14,10 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-GIVEN, REPEATED = "/slip_estimator/set_pose", "/slip_estimator/pose_set"
+SET_POSE, REPEATED = "/slip_estimator/set_pose", "/slip_estimator/pose_set"
 
 
-@pytest.fixture(params=[(GIVEN,), (GIVEN, REPEATED), (REPEATED,)], ids=len)
+@pytest.fixture(params=[(SET_POSE,), (SET_POSE, REPEATED), (REPEATED,)], ids=len)
 def path(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     with BagWriter(tmp_path / "bag") as bag:
         for k, topic in enumerate(request.param):
@@ -29,13 +29,13 @@ def test_each_set_pose_is_read_and_played_once(path: Path) -> None:
     with open_bag(path) as bag:
         assert list(input_names(bag).values()) == ["slip_estimator/set_pose"]
         topics = played_topics(bag, InputFilters(), ())
-        assert topics == {GIVEN: POSE}
-        assert [message.topic for message in played_messages(bag, InputFilters(), topics)] == [GIVEN]
+        assert topics == {SET_POSE: POSE}
+        assert [message.topic for message in played_messages(bag, InputFilters(), topics)] == [SET_POSE]
 
 
 def test_set_poses_are_read_where_the_repeat_topic_is_empty(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic(REPEATED, POSE, [])
-        bag.write(GIVEN, POSE, serialize(make(POSE)), 1)
+        bag.write(SET_POSE, POSE, serialize(make(POSE)), 1)
     with open_bag(tmp_path / "bag") as opened:
-        assert input_names(opened)[GIVEN] == "slip_estimator/set_pose"
+        assert input_names(opened)[SET_POSE] == "slip_estimator/set_pose"

@@ -121,6 +121,6 @@ def test_window_names_and_outages_are_those_of_any_replay(path: Path) -> None:
     with open_bag(path) as bag:
         topics = played_topics(bag, filters, [])
         assert topics == {"/tracks": TEXT}
-        found = list(played_messages(bag, filters, topics))
-        assert [(m.log_time_ns - BEGIN_NS) // S for m in found] == [2, 3, 6, 7]
-        assert bag.deserialize(found[0].raw, TEXT).data == "/sprockets 2"
+        played = list(played_messages(bag, filters, topics))
+        assert [(m.log_time_ns - BEGIN_NS) // S for m in played] == [2, 3, 6, 7]
+        assert bag.deserialize(played[0].raw, TEXT).data == "/sprockets 2"

@@ -22,10 +22,10 @@ def begin(tmp_path: Path) -> Begin:
     """A function that begins a recording with parameters."""
     rest: dict[str, Any] = {"more_topics": "", "split_size": 0, "split_duration": 0.0, "max_disk": 0}
 
-    def made(**parameters: Any) -> Recording:
+    def start(**parameters: Any) -> Recording:
         return Recording(RecordParameters(output=str(tmp_path / "bag"), **(rest | parameters)), LOG)
 
-    return made
+    return start
 
 
 def write(recording: Recording, number: int) -> None:

@@ -55,10 +55,10 @@ def damaged(whole: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(whole, tmp_path / "bag"))
 
 
-def cut(path: Path, kept: float) -> None:
-    """Keep the share ``kept`` of a recording without metadata, as after a power cut."""
+def cut(path: Path, share: float) -> None:
+    """Keep a share of a recording without metadata, as after a power cut."""
     file = path / "bag_0.mcap"
-    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * kept)])
+    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * share)])
     (path / "metadata.yaml").unlink()
 
 
@@ -77,20 +77,20 @@ def contents(path: Path) -> list[bytes]:
     return ours
 
 
-@pytest.mark.parametrize("kept", [0.12, 0.3, 0.5, 0.7, 0.9, 0.99])
+@pytest.mark.parametrize("share", [0.12, 0.3, 0.5, 0.7, 0.9, 0.99])
 def test_cut_bag_is_recovered_up_to_its_last_whole_chunk(
-    damaged: Path, tmp_path: Path, kept: float, capsys: pytest.CaptureFixture[str]
+    damaged: Path, tmp_path: Path, share: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cut(damaged, kept)
+    cut(damaged, share)
     before = hashlib.sha256((damaged / "bag_0.mcap").read_bytes()).digest()
     assert main(["recover", str(damaged)]) == ExitCode.DONE
     shown = capsys.readouterr().out
     assert "bag_0.mcap: cut short\n" in shown
     assert "lost: what a recorder that was killed had in hand, at most 0.5 s" in shown
-    found = contents(tmp_path / "bag_recovered")
-    assert len(found) % 50 == 0
-    assert len(found) >= (kept - 0.3) * COUNT
-    assert found == [imu(i) for i in range(len(found))]
+    recovered = contents(tmp_path / "bag_recovered")
+    assert len(recovered) % 50 == 0
+    assert len(recovered) >= (share - 0.3) * COUNT
+    assert recovered == [imu(i) for i in range(len(recovered))]
     assert hashlib.sha256((damaged / "bag_0.mcap").read_bytes()).digest() == before
     assert [file.name for file in damaged.iterdir()] == ["bag_0.mcap"]
 
@@ -140,9 +140,9 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     assert sum(shares) == pytest.approx(1.0)
     assert (recovery.truncated_files, len(recovery.problems)) == (1, 1)
     assert len(list((tmp_path / "out").glob("*.mcap"))) == 4
-    found = contents(tmp_path / "out")
-    assert found == [imu(i) for i in range(len(found))]
-    assert 300 <= len(found) < 400
+    recovered = contents(tmp_path / "out")
+    assert recovered == [imu(i) for i in range(len(recovered))]
+    assert 300 <= len(recovered) < 400
 
 
 def test_one_file_of_a_bag_is_recovered_alone(damaged: Path, tmp_path: Path) -> None:
@@ -296,7 +296,7 @@ def test_random_damage_never_makes_a_bad_bag(whole: Path, tmp_path: Path, seed: 
             data[at:at] = data[at : at + length]
     (tmp_path / "bag_0.mcap").write_bytes(bytes(data))
     recover(tmp_path / "bag_0.mcap", tmp_path / "out")
-    found = contents(tmp_path / "out")
-    known = {imu(i): i for i in range(COUNT)}
-    numbers = [known[raw] for raw in found]
+    recovered = contents(tmp_path / "out")
+    number_of = {imu(i): i for i in range(COUNT)}
+    numbers = [number_of[raw] for raw in recovered]
     assert numbers == sorted(set(numbers))

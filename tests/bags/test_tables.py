@@ -76,11 +76,11 @@ def bag_of(path: Path, type_name: str, raws: list[bytes]) -> Bag:
 
 def numbers(rows: Any, texts: list[str]) -> list[Any]:
     """Rows in the form of ``read``'s result, arrays as lists."""
-    found = []
+    records = []
     for row in rows:
         values = {name: row[name].tolist() for name in rows.dtype.names}
-        found.append({n: texts[v] if n == "source" else v for n, v in values.items()})
-    return found
+        records.append({n: texts[v] if n == "source" else v for n, v in values.items()})
+    return records
 
 
 def expected(kind: Any, messages: list[Any]) -> list[Any]:
@@ -111,8 +111,8 @@ def test_rows_hold_what_live_reads(type_name: str, messages: list[Any], tmp_path
     kind = RECORDS[type_name]
     with bag_of(tmp_path / "bag", type_name, [serialize(m) for m in messages]) as bag:
         (table,) = tables(bag)
-        found = numbers(table.rows(kind), table.texts)
-    np.testing.assert_equal(found, expected(kind, messages))
+        records = numbers(table.rows(kind), table.texts)
+    np.testing.assert_equal(records, expected(kind, messages))
 
 
 @pytest.mark.parametrize("type_name", RECORDS)
@@ -165,12 +165,12 @@ def write(path: Path, count: int = 20) -> Path:
 
 def read(path: Path) -> list[tuple[int, int, tuple[Any, ...]]]:
     """Position, log time and row of each message."""
-    found = []
+    messages = []
     with open_bag(path) as bag:
         for table in tables(bag, "/sprockets"):
             rows = table.rows(SprocketFields).tolist()
-            found += zip(table.order.tolist(), table.log_times_ns.tolist(), rows, strict=True)
-    return found
+            messages += zip(table.order.tolist(), table.log_times_ns.tolist(), rows, strict=True)
+    return messages
 
 
 def test_a_recorded_bag_is_read_chunk_by_chunk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

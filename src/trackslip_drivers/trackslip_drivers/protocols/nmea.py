@@ -148,7 +148,7 @@ def read_sentence(line: bytes) -> Sentence | Rejection:
     if checksum != calc_checksum(content.decode("latin-1")).encode():
         return Rejection.CHECKSUM
     try:
-        reading = decoder(_parse_fields(kind, content, checksum), fields[1:])
+        reading = decoder(_parse_fields(content, checksum), fields[1:])
     except Exception:  # noqa: BLE001 (whatever the library raises of an empty or wrong field)
         reading = Rejection.MALFORMED
     return Sentence(talker, kind, reading)
@@ -187,7 +187,7 @@ def _address(fields: Sequence[str]) -> tuple[str, str]:
     return "P", f"{address},{fields[1]}" if named else address
 
 
-def _parse_fields(kind: str, content: bytes, checksum: bytes) -> Any:
+def _parse_fields(content: bytes, checksum: bytes) -> Any:
     """The fields parsed by pynmeagps, which cannot parse a PASHR without a time."""
     if content.startswith(b"PASHR,,"):
         content = content.replace(b",,", b",000000.00,", 1)
