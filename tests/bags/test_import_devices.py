@@ -97,7 +97,7 @@ def test_damaged_log_is_read_up_to_the_damage(tmp_path: Path) -> None:
     log.write_bytes(log.read_bytes() + b"(17900 can0 what\n")
     result, messages = imported(tmp_path, [log], can={})
     assert len(messages["sprockets"]) >= 99
-    assert any("damaged behind frame" in note for note in result.notes)
+    assert any("damaged after frame" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])

@@ -58,8 +58,8 @@ HOSTILE = {
     "names for selectors": (chosen(200), "too many selectors of multiplexers"),
     "range": (multiplexed("0-4294967295"), "signal 'S': too many selectors"),
     "many ranges": (multiplexed(", ".join(f"{k}000-{k}999" for k in range(1, 40))), "too many selectors"),
-    "exponent": (FRAME + PLAIN.replace("(1,", "(1E+999999,"), r"the number 1E\+999999 is of no quantity"),
-    "exponent in an attribute": (FRAME + PLAIN + 'BA_DEF_ BO_ "X" INT 0 1E+999999;\n', "is of no quantity"),
+    "exponent": (FRAME + PLAIN.replace("(1,", "(1E+999999,"), r"the number 1E\+999999 is too large"),
+    "exponent in an attribute": (FRAME + PLAIN + 'BA_DEF_ BO_ "X" INT 0 1E+999999;\n', "is too large"),
     "digits": (FRAME + PLAIN.replace("0|0", "0|" + "9" * 5000), "a number of 5000 digits"),
 }
 

@@ -44,7 +44,7 @@ def require_in_namespace(topics: Collection[str], namespace: str) -> None:
     """
     if not any(topic.startswith(f"/{namespace.strip('/')}/") for topic in topics):
         there = sorted({topic.split("/")[1] for topic in topics if topic.count("/") > 1})
-        accepted = ", ".join(there) or "none, all topics are without"
+        accepted = ", ".join(there) or "none: no topic of the bag has a namespace"
         raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
 
 

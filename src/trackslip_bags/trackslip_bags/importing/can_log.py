@@ -136,7 +136,7 @@ def _read_frames(
         reason = error_line(error)
         if not count:
             raise InputError(f"{path}: the {words} cannot be read ({reason})") from error
-        notes.append(f"{path.name}: damaged behind frame {count} ({reason})")
+        notes.append(f"{path.name}: damaged after frame {count} ({reason})")
 
 
 def _open(path: Path, words: str, notes: list[str]) -> Any:

@@ -49,12 +49,10 @@ class _RecoveredMessage(NamedTuple):
     data: bytes
 
 
-RecoveredItems = Iterator[
-    _RecoveredMessage | SalvagedTopic
-]  # messages of one file, then all its topics, also empty ones
-ReadPart = Callable[
-    [Callable[[float], None]], RecoveredItems
-]  # reads one file; calls its argument with each share read
+# Messages of one file, then all its topics, also empty ones.
+RecoveredItems = Iterator[_RecoveredMessage | SalvagedTopic]
+# Reads one file; calls its argument with each share read.
+ReadPart = Callable[[Callable[[float], None]], RecoveredItems]
 
 
 def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda _: None) -> Recovery:

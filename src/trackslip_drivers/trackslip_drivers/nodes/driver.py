@@ -68,9 +68,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     device = "sensor"  # name for users
     data_name = "bytes"
     advice = "check power and port"  # if no data arrive
-    transient_reasons: Mapping[str, str] = MappingProxyType(
-        {}
-    )  # reasons that are no fault of the link → remedy
+    transient_reasons: Mapping[str, str] = MappingProxyType({})  # no fault of the link: reason → remedy
     period = 1.0  # s between messages in normal operation
     silence = math.inf  # s without a byte or frame after which the port is reopened
 

@@ -126,7 +126,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         kinds = self._stream.kinds
         if not kinds or POSITIONS & set(kinds):
             return ""
-        return f"whole messages come ({', '.join(kinds)}), but no GGA, GNS or NAV-PVT; {NO_POSITION}"
+        return f"complete messages arrive ({', '.join(kinds)}), but no GGA, GNS or NAV-PVT; {NO_POSITION}"
 
     def _make_stream(self) -> NmeaStream:
         utc = (lambda steady_ns: self._host.stamp(steady_ns)) if self.settings.host_clock_is_utc else None

@@ -18,7 +18,7 @@ from cantools.database.errors import EncodeError
 
 Value = int | float
 
-_LARGEST_WHOLE = 1 << 64  # largest factor or offset kept as an integer
+_LARGEST_INTEGER = 1 << 64  # largest factor or offset kept as an integer
 _FIRST_RESERVED = 0xFB  # J1939: lowest top byte of a raw value that means error or not available
 
 
@@ -100,7 +100,7 @@ def field_of(message: Message, name: str) -> Field:
 
 def _float_if_large(number: float) -> float:
     """The number itself up to 2⁶⁴ (exact), else a float: an overflow is then infinite and raises nothing."""
-    return number if abs(number) <= _LARGEST_WHOLE else float(number)
+    return number if abs(number) <= _LARGEST_INTEGER else float(number)
 
 
 def _selector(message: Message, signal: Signal) -> tuple[Field, frozenset[int]] | None:

@@ -96,7 +96,7 @@ def _check_numbers(where: str, text: str) -> None:
     for number in _EXPONENT.finditer(text):
         if int(number[1]) > _LARGEST_EXPONENT or math.isinf(float(number[0])):
             accepted = f"exponents up to {_LARGEST_EXPONENT}"
-            raise InputError(f"{where}: the number {number[0]} is of no quantity; accepted: {accepted}")
+            raise InputError(f"{where}: the number {number[0]} is too large; accepted: {accepted}")
     selectors = _parse_selectors(where, text)
     count = 0
     heads = list(_FRAME.finditer(text))

@@ -72,9 +72,8 @@ def _load(text: str) -> Database:
 
 def _split_frames(text: str) -> tuple[str, list[_FrameText]]:
     """(text shared by all frames, the frames)."""
-    blank = _STRING.sub(
-        lambda match: '"' + "x" * (len(match[0]) - 2) + '"', text
-    )  # hides keywords in strings
+    # Keywords in strings are hidden.
+    blank = _STRING.sub(lambda match: '"' + "x" * (len(match[0]) - 2) + '"', text)
     starts = [match.start() for match in _STATEMENT.finditer(blank)]
     pieces = [text[start:end] for start, end in zip([0, *starts], [*starts, len(text)], strict=True)]
     frames: dict[str, tuple[str, str]] = {}

@@ -43,7 +43,7 @@ from trackslip_drivers.stamping import SenderClock
 
 FIX, HEADING, VELOCITY = "fix", "heading", "fix_velocity"
 POSITIONS = frozenset(("GGA", "GNS", "NAV-PVT"))  # kinds of messages with a position
-NO_POSITION = "switch GGA on at the receiver (of UBX NAV-PVT)"
+NO_POSITION = "switch GGA on at the receiver (UBX: NAV-PVT)"
 RECEIVER_CLOCK = "receiver's clock"
 
 _CLOCK_TOLERANCE = 5e-5  # relative, of a host's quartz
