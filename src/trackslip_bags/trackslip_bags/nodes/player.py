@@ -28,7 +28,7 @@ _TICK = 0.002  # s, largest delay of a message
 _LONGEST_TICK = 0.05  # s of publishing before the executor continues
 _CLOCK_PERIOD = 0.01  # s of wall time
 _SETTLING_TIME = 1.0  # s without a new subscriber, after which discovery counts as complete
-_SUBSCRIBER_TIMEOUT = 4.0  # s, after which there is no subscriber; discovery may take some seconds
+_SUBSCRIBER_TIMEOUT = 4.0  # s without a subscriber, after which discovery ends; it may take some seconds
 _ACK_TIMEOUT = 2.0  # s, for acknowledgement of the last messages
 _PAUSE_KEY = " "
 
