@@ -84,9 +84,9 @@ def test_cut_bag_is_recovered_up_to_its_last_whole_chunk(
     cut(damaged, share)
     before = hashlib.sha256((damaged / "bag_0.mcap").read_bytes()).digest()
     assert main(["recover", str(damaged)]) == ExitCode.DONE
-    shown = capsys.readouterr().out
-    assert "bag_0.mcap: cut short\n" in shown
-    assert "lost: what a recorder that was killed had in hand, at most 0.5 s" in shown
+    printed = capsys.readouterr().out
+    assert "bag_0.mcap: cut short\n" in printed
+    assert "lost: what a recorder that was killed had in hand, at most 0.5 s" in printed
     recovered = contents(tmp_path / "bag_recovered")
     assert len(recovered) % 50 == 0
     assert len(recovered) >= (share - 0.3) * COUNT
@@ -115,9 +115,9 @@ def test_damaged_chunk_loses_only_its_own_messages(
 ) -> None:
     damage_chunk(damaged / "bag_0.mcap", 3)
     assert main(["recover", str(damaged), "--output", str(tmp_path / "out")]) == ExitCode.DONE
-    shown = capsys.readouterr().out
-    assert "bag_0.mcap: 1 damaged chunks\n" in shown
-    assert "lost: 50 of 400 messages\n" in shown
+    printed = capsys.readouterr().out
+    assert "bag_0.mcap: 1 damaged chunks\n" in printed
+    assert "lost: 50 of 400 messages\n" in printed
     assert contents(tmp_path / "out") == [imu(i) for i in range(COUNT) if not 150 <= i < 200]
 
 

@@ -121,15 +121,15 @@ def _read_list(information: Mapping[str, Any], name: str, max_length: int) -> li
 
 def _check_topics(topics: Iterable[Any]) -> None:
     for topic in topics:
-        about = topic.get("topic_metadata") if isinstance(topic, dict) else None
-        if not isinstance(about, dict):
+        entry = topic.get("topic_metadata") if isinstance(topic, dict) else None
+        if not isinstance(entry, dict):
             raise ValueError(f"{METADATA}: {topic!r:.40}; accepted: a topic with its topic_metadata")
         count = topic.get("message_count")
         if type(count) is not int or not 0 <= count < 2**63:
             raise ValueError(f"{METADATA}: message_count: {count!r:.40}; accepted: a whole number, 0 or more")
         for name in ("name", "type"):
-            if not isinstance(about.get(name), str):
-                raise ValueError(f"{METADATA}: {name}: {about.get(name)!r:.40}; accepted: a text")
+            if not isinstance(entry.get(name), str):
+                raise ValueError(f"{METADATA}: {name}: {entry.get(name)!r:.40}; accepted: a text")
 
 
 def _check_files(bag: Path, files: Iterable[Any]) -> None:

@@ -174,8 +174,8 @@ def _open(path: Path | str) -> Bag:
     try:
         if (path / METADATA).exists():
             check_metadata(path)
-        whole = WholeBag(path)
-        return Bag(path, [whole], files=whole.files)
+        source = WholeBag(path)
+        return Bag(path, [source], files=source.files)
     except Exception as error:  # noqa: BLE001 (foreign bytes can raise anything in the parsers)
         indexed = path.is_file() or (path / METADATA).exists()
         reason = error_line(error) if indexed else "no metadata.yaml"

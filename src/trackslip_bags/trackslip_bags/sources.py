@@ -207,15 +207,15 @@ def merge_topics(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
     topics: dict[str, TopicInfo] = {}
     for part in parts:
         for name, info in part.items():
-            known = topics.get(name)
-            topics[name] = info if known is None else _merge_infos(known, info)
+            earlier = topics.get(name)
+            topics[name] = info if earlier is None else _merge_infos(earlier, info)
     return topics
 
 
-def _merge_infos(known: TopicInfo, info: TopicInfo) -> TopicInfo:
+def _merge_infos(first: TopicInfo, second: TopicInfo) -> TopicInfo:
     """Combined information of two parts of a bag on one topic."""
-    types = {known.type_name, info.type_name, *known.other_types, *info.other_types}
-    return replace(known, count=known.count + info.count, other_types=frozenset(types - {known.type_name}))
+    types = {first.type_name, second.type_name, *first.other_types, *second.other_types}
+    return replace(first, count=first.count + second.count, other_types=frozenset(types - {first.type_name}))
 
 
 def error_line(error: Exception) -> str:

@@ -110,10 +110,10 @@ class BagWriter:
         Raises:
             InputError: the type is unknown, or the topic exists with another type.
         """
-        known = self.topics.get(topic)
-        if known is not None:
-            if known.type_name != type_name:
-                raise InputError(f"topic '{topic}' is of type {known.type_name} in this bag, not {type_name}")
+        entry = self.topics.get(topic)
+        if entry is not None:
+            if entry.type_name != type_name:
+                raise InputError(f"topic '{topic}' is of type {entry.type_name} in this bag, not {type_name}")
             return
         added = Topic(type_name, schema or own_schema(type_name), qos_yaml or _NO_QOS)
         self.topics[topic] = added
@@ -134,10 +134,10 @@ class BagWriter:
         Raises:
             InputError: as ``add_topic``.
         """
-        known = self.topics.get(topic)
-        if known is None or known.type_name != type_name:
+        entry = self.topics.get(topic)
+        if entry is None or entry.type_name != type_name:
             self.add_topic(topic, type_name)
-            known = self.topics[topic]
+            entry = self.topics[topic]
         publish_time_ns = max(log_time_ns if publish_time_ns is None else publish_time_ns, 0)
         log_time_ns = max(log_time_ns, 0)
         if self._chunk_start_ns is None:
@@ -148,7 +148,7 @@ class BagWriter:
         if self._is_full(log_time_ns):
             self.split()
         self._file.write(topic, data, log_time_ns, publish_time_ns)
-        known.count += 1
+        entry.count += 1
 
     def flush(self) -> None:
         """Close the chunk and pass it to the operating system, for recorders whose topics stop."""

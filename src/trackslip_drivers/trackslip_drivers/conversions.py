@@ -151,10 +151,10 @@ def heading(make: MessageFactory, sample: HeadingSample, frame_id: str) -> Any:
     """
     absent = np.zeros(9)
     absent[0] = _ABSENT_COVARIANCE
-    known = sample.stddev > 0.0
+    is_known = sample.stddev > 0.0
     covariance = (
         np.diag((_UNOBSERVED_VARIANCE, _UNOBSERVED_VARIANCE, sample.stddev**2)).flatten()
-        if known
+        if is_known
         else np.zeros(9)
     )
     half = sample.yaw / 2.0

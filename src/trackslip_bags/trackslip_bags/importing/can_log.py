@@ -113,10 +113,10 @@ def _read_frames(
     path: Path, section: CanSection, notes: list[str], channels: set[str]
 ) -> Iterator[tuple[int, bytes, int, str]]:
     """(id with its flags, payload, ns, channel) of each data frame of a log; fills ``channels``."""
-    _, words = kind_of(path)
+    _, description = kind_of(path)
     count = 0
     try:
-        with _open(path, words, notes) as log:
+        with _open(path, description, notes) as log:
             for message in log:
                 channels.add(str(message.channel))
                 if section.channel is not None and str(message.channel) != section.channel:
@@ -135,24 +135,24 @@ def _read_frames(
     except Exception as error:  # damaged bytes can raise anything in the readers
         reason = error_line(error)
         if not count:
-            raise InputError(f"{path}: the {words} cannot be read ({reason})") from error
+            raise InputError(f"{path}: the {description} cannot be read ({reason})") from error
         notes.append(f"{path.name}: damaged after frame {count} ({reason})")
 
 
-def _open(path: Path, words: str, notes: list[str]) -> Any:
-    if words.endswith("(BLF)"):
+def _open(path: Path, description: str, notes: list[str]) -> Any:
+    if description.endswith("(BLF)"):
         log = BlfLog(path)
         if log.missing:
             notes.append(f"{path.name}: cut short: {log.missing} of {log.file_size} bytes are missing")
         return log
-    if words.endswith("(MF4)"):
+    if description.endswith("(MF4)"):
         return _open_mf4(path)
     with path.open("rb") as file:
         encoding = encoding_of_mark(file.read(4)) or "utf-8"
     text = path.open(encoding=encoding, errors="replace")  # which the reader closes
-    if words.endswith("(candump)"):
+    if description.endswith("(candump)"):
         return can.CanutilsLogReader(text)
-    if words.endswith("(ASC)"):
+    if description.endswith("(ASC)"):
         return open_asc(text, notes, path.name)
     return can.TRCReader(text)
 

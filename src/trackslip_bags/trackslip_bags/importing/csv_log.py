@@ -226,8 +226,8 @@ def _unwrap_angle(
 
     ``timed``: rows that have a time; ``speeds`` in units of the values per second.
     """
-    known = values[np.isfinite(values)]
-    counters = _COUNTERS if (known == np.round(known)).all() else ()
+    finite = values[np.isfinite(values)]
+    counters = _COUNTERS if (finite == np.round(finite)).all() else ()
     for modulus in (*((turn,) if turn else ()), *counters):
         unwrapped = values.copy()
         unwrapped[timed] = unwrap_angles(stamps_ns[timed], values[timed], speeds[timed], modulus)
@@ -243,8 +243,8 @@ def _unwrap_angle(
 def _to_si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> FloatArray:
     """(rows,) SI values; of sprockets, speeds and lengths on the ground become rates and angles."""
     values: FloatArray = np.mean(numbers, axis=0)
-    known = values[np.isfinite(values)]
-    origin = float(column.origin) if column.origin != FIRST else float(known[0]) if known.size else 0.0
+    finite = values[np.isfinite(values)]
+    origin = float(column.origin) if column.origin != FIRST else float(finite[0]) if finite.size else 0.0
     scaled: FloatArray = (values - origin) * column.factor
     if topic.role == "sprockets" and topic.geometry is not None and column is not topic.columns.get("speed"):
         scaled = scaled / topic.geometry.rolling_radius if column.quantity in ("speed", "length") else scaled
@@ -265,17 +265,17 @@ def _variance(table: Table, spread: Spread) -> FloatArray:
 def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, IntArray]:
     """(rows,) stamps and times of arrival; NO_TIME where the row has none."""
     times_ns = _checked_times(table, topic.time, start_ns)
-    known = times_ns != NO_TIME
+    has_time = times_ns != NO_TIME
     if topic.received is None:
-        back = np.flatnonzero(np.diff(times_ns[known]) < 0)
+        back = np.flatnonzero(np.diff(times_ns[has_time]) < 0)
         if back.size:
-            line = int(table.lines[known][back[0] + 1])
-            before, after = (time_text(int(times_ns[known][back[0] + k]), topic.time) for k in (0, 1))
+            line = int(table.lines[has_time][back[0] + 1])
+            before, after = (time_text(int(times_ns[has_time][back[0] + k]), topic.time) for k in (0, 1))
             raise InputError(
                 f"{table.path}: line {line}, column '{topic.time.name}' goes back from {before} to {after}; "
                 "accepted: times that never decrease, or 'received' beside them"
             )
-    stamps_ns = np.where(known, times_ns + topic.time_offset_ns, NO_TIME)
+    stamps_ns = np.where(has_time, times_ns + topic.time_offset_ns, NO_TIME)
     if topic.received is None:
         return stamps_ns, stamps_ns
     received_ns = _checked_times(table, topic.received, start_ns)

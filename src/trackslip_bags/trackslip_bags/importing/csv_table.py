@@ -144,8 +144,8 @@ class _Reader:
                 times_ns.append(self._times(block, column))
             for name, values in numbers.items():
                 values.append(self._numbers(block, name))
-            for name, words in texts.items():
-                words.append(block.cells[name].to_numpy().astype(object))
+            for name, parts in texts.items():
+                parts.append(block.cells[name].to_numpy().astype(object))
         if not sum(map(len, lines)):
             raise InputError(f"{self._path}: no rows below the header; accepted: a log with at least one")
         if self._short is not None:
@@ -210,11 +210,11 @@ class _Reader:
         if cells.height != len(lines):
             raise self._table_error(lines, "a quote does not close")
         places = {name: self._head.names.index(name) for name in dict.fromkeys(self._requested.names)}
-        requested = [
+        columns = [
             pl.col(f"{k}").fill_null("").str.strip_chars().str.strip_chars('"').str.strip_chars().alias(name)
             for name, k in places.items()
         ]
-        return _Block(lines, cells.select(requested))
+        return _Block(lines, cells.select(columns))
 
     def _numbers(self, block: _Block, name: str) -> FloatArray:
         """(rows,) finite numbers; nan for blank cells."""
@@ -261,8 +261,8 @@ class _Reader:
         cells = [at[name] for name in self._requested.numbers]
         if any(cell.lower() not in _BLANK and _is_convertible(float, cell) for cell in cells):
             return False
-        words = [*cells, *(at[name] for column in self._requested.times for name in column.names)]
-        return any(words) and not any(re.search(r"\d,\d", cell) for cell in words)
+        cells_of_text = [*cells, *(at[name] for column in self._requested.times for name in column.names)]
+        return any(cells_of_text) and not any(re.search(r"\d,\d", cell) for cell in cells_of_text)
 
     def _cell_error(self, line: int, name: str, cell: str, instead: str) -> InputError:
         """Error for a cell that cannot be converted."""

@@ -323,10 +323,10 @@ def _unit_by_values(kind: _FieldKind, table: _Table, name: str) -> tuple[str, bo
 
 def _two_column_time(table: _Table) -> _FieldColumns | None:
     """A time in two columns: seconds and nanoseconds, or a date and a time of day."""
-    words = {name: _normalised_name(name) for name in table.cells}
+    normalised = {name: _normalised_name(name) for name in table.cells}
     for first, second, units in _TWO_COLUMN_TIMES:
         names = tuple(
-            next((name for name in words if re.fullmatch(pattern, words[name])), "")
+            next((name for name in normalised if re.fullmatch(pattern, normalised[name])), "")
             for pattern in (first, second)
         )
         if not all(names):
@@ -353,18 +353,18 @@ def _normalised_name(name: str) -> str:
 
 def _interpretations(name: str) -> Iterator[tuple[str, str]]:
     """Interpretations of a name: without its unit, and the unit; then the whole name, without a unit."""
-    words = _normalised_name(name)
+    normalised = _normalised_name(name)
     if stated := _STATED_UNIT.search(name):
         unit = stated[1] or stated[2]
         yield _normalised_name(name[: stated.start()]), _UNIT_SPELLINGS.get(unit.lower(), unit)
-    known = {
+    unit_of = {
         **_UNIT_SPELLINGS,
         **{unit: unit for units in UNITS.values() for unit in units if unit.isalpha()},
     }
-    for end, unit in known.items():
-        if words.endswith(f"_{end}"):
-            yield words.removesuffix(f"_{end}"), unit
-    yield words, ""
+    for end, unit in unit_of.items():
+        if normalised.endswith(f"_{end}"):
+            yield normalised.removesuffix(f"_{end}"), unit
+    yield normalised, ""
 
 
 def _source_parameters(topics: Mapping[str, Any]) -> dict[str, Any]:

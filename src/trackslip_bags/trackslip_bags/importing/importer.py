@@ -109,9 +109,9 @@ def _read_logs(
     bags = [path for path in logs if is_bag(path)]
     files = [file for path in logs if path not in bags for file in _log_files(path)]
     samples, notes = [], []
-    for part, words in _read_parts(bags, files, mapping, local):
+    for part, part_notes in _read_parts(bags, files, mapping, local):
         samples += part
-        notes += words
+        notes += part_notes
     return samples, notes
 
 
@@ -161,7 +161,7 @@ def _unread_reason(mapping: LogMapping, kind: LogKind) -> str:
 def _kind_of_file(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
     """Kind of a file, and its description; one for ``gnss`` may begin anywhere in a receiver's stream."""
     try:
-        kind, words = kind_of(file)
+        kind, description = kind_of(file)
         is_open = (
             gnss is not None and kind in (LogKind.TABLE, LogKind.OTHER) and fnmatch(file.name, gnss.file)
         )
@@ -169,7 +169,7 @@ def _kind_of_file(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
             return LogKind.GNSS, "log of a GNSS receiver"
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
-    return kind, words
+    return kind, description
 
 
 def _matching_files(kinds: _FileKinds, kind: LogKind, section: CanSection | GnssSection | None) -> list[Path]:
@@ -184,12 +184,14 @@ def _matching_files(kinds: _FileKinds, kind: LogKind, section: CanSection | Gnss
 
 
 def _require_files(
-    files: Sequence[Path], section: CanSection | GnssSection, what: str, kinds: _FileKinds
+    files: Sequence[Path], section: CanSection | GnssSection, kind: str, kinds: _FileKinds
 ) -> None:
     if not files:
-        there = "; ".join(f"{file.name}: a {words}" for file, (_, words) in list(kinds.items())[:_MAX_NAMED])
+        there = "; ".join(
+            f"{file.name}: a {description}" for file, (_, description) in list(kinds.items())[:_MAX_NAMED]
+        )
         raise InputError(
-            f"{section.where}: no {what} named '{section.file}' among the logs ({there or 'none given'}); "
+            f"{section.where}: no {kind} named '{section.file}' among the logs ({there or 'none given'}); "
             "accepted: one or more"
         )
 

@@ -100,9 +100,9 @@ def kind_of(path: Path) -> tuple[LogKind, str]:
         return LogKind.OTHER, "file without a byte" if is_empty else "file of blanks or zero bytes"
     mark = encoding_of_mark(first)
     text = first.decode(mark, "ignore").encode("latin-1", "replace") if mark else first
-    for pattern, kind, words in _KINDS:
+    for pattern, kind, description in _KINDS:
         if re.match(pattern, text):
-            return kind, words
+            return kind, description
     if _is_binary(text):
         return (
             LogKind.OTHER,
@@ -143,11 +143,11 @@ def require_table(path: Path) -> None:
         InputError: it is of another kind; names the kind, and the part of the mapping that reads it.
         OSError: it cannot be read.
     """
-    kind, words = kind_of(path)
+    kind, description = kind_of(path)
     if kind in (LogKind.CAN, LogKind.GNSS):
         raise InputError(
-            f"{path}: a {words}, no table; trackslip import reads it by '{kind.value}' in the mapping "
+            f"{path}: a {description}, no table; trackslip import reads it by '{kind.value}' in the mapping "
             "(docs/import.md)"
         )
     if kind is LogKind.OTHER:
-        raise InputError(f"{path}: a {words}; accepted: a CSV file")
+        raise InputError(f"{path}: a {description}; accepted: a CSV file")

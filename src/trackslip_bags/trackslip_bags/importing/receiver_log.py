@@ -257,16 +257,17 @@ def _fix_samples(
         "status": np.array([float(f.status) for f in fixes]),
     }
     yield Samples("fix", "fix", [ROLES["fix"].frame], stamps_ns, stamps_ns, values, source=source)
-    known = np.array([f.covariance_type is not CovarianceType.UNKNOWN for f in fixes])
-    if not known.all():
+    has_accuracy = np.array([f.covariance_type is not CovarianceType.UNKNOWN for f in fixes])
+    if not has_accuracy.all():
         notes.append(
-            f"{source}: {sum(~known)} × a fix without accuracy, of which no gnss_pose is made; switch GST on"
+            f"{source}: {sum(~has_accuracy)} × a fix without accuracy, of which no gnss_pose is made;"
+            " switch GST on"
         )
-    if not known.any():
+    if not has_accuracy.any():
         return
-    is_used, left_out = known, {}
-    for reason, rejected in local.rejections(place[known], f"{section.where}: {source}"):
-        rows = np.flatnonzero(known)[rejected]
+    is_used, left_out = has_accuracy, {}
+    for reason, rejected in local.rejections(place[has_accuracy], f"{section.where}: {source}"):
+        rows = np.flatnonzero(has_accuracy)[rejected]
         left_out[reason] = len(rows)
         is_used = is_used & ~np.isin(np.arange(len(fixes)), rows)
     east_north: FloatArray = local.east_north(place[is_used])

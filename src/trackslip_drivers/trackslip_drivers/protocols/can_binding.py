@@ -210,10 +210,10 @@ class Binder:
     def _unit(where: str, name: str, role: Role, dbc_unit: str | None) -> Unit:
         """The DBC's unit; the unit of the roles file if the DBC's is empty or unknown."""
         text = (dbc_unit or "").strip()
-        requested = accepted_units(ROLES[name])
+        accepted = accepted_units(ROLES[name])
         of_dbc, of_roles = UNITS.get(text), UNITS.get(role.unit.strip())
         if role.unit and of_roles is None:
-            raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {requested}")
+            raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {accepted}")
         if of_dbc and of_roles and of_dbc != of_roles:
             raise InputError(
                 f"{where}: unit: '{role.unit}', but the DBC has '{text}'; accepted: one unit, there or here"
@@ -221,10 +221,10 @@ class Binder:
         unit = of_dbc or of_roles
         if unit is None:
             what = f"unit '{text}' of the DBC is unknown" if text else "the DBC has no unit"
-            raise InputError(f"{where}: {what}; accepted: unit: one of {requested}")
+            raise InputError(f"{where}: {what}; accepted: unit: one of {accepted}")
         if unit.quantity not in ROLES[name]:
             raise InputError(
-                f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {requested}"
+                f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {accepted}"
             )
         return unit
 

@@ -77,7 +77,7 @@ class CycleMeter:
         if interval_ns < 0:
             self._time_ns = self._cycles = 0
             return
-        is_long, each = not 1 <= cycles <= _MAX_CYCLES, interval_ns / max(cycles, 1)
+        is_long, per_cycle_ns = not 1 <= cycles <= _MAX_CYCLES, interval_ns / max(cycles, 1)
         counted = 1 if is_long else cycles
         if interval_ns < _SILENCE_NS:
             self._recent.add(interval_ns, counted)
@@ -85,12 +85,12 @@ class CycleMeter:
                 self._recent = self._recent.half_weight()
         if self.cycle_ns is None:
             if not is_long:
-                self._first.append(each)
+                self._first.append(per_cycle_ns)
                 self.cycle_ns = self._first_estimate()
             return
-        is_prompt = not is_long and abs(each / self.cycle_ns - 1.0) <= PROMPT_TOLERANCE
+        is_prompt = not is_long and abs(per_cycle_ns / self.cycle_ns - 1.0) <= PROMPT_TOLERANCE
         if not is_prompt:
-            is_early = each < self.cycle_ns and not is_long
+            is_early = per_cycle_ns < self.cycle_ns and not is_long
             (self._early if is_early else self._late).add(interval_ns, counted)
         elif self._early.count or self._late.count:
             self._early, self._late = _Intervals(), _Intervals()

@@ -115,10 +115,10 @@ def _check_numbers(where: str, text: str) -> None:
 
 def _parse_signal(frame: str, match: re.Match[str]) -> _Signal:
     name, multiplexed, selector, multiplexer, start, length = match.groups()
-    for what, value, least in (("start bit", int(start), 0), ("length", int(length), 1)):
-        if not least <= value <= _MOST_BITS:
+    for quantity, value, minimum in (("start bit", int(start), 0), ("length", int(length), 1)):
+        if not minimum <= value <= _MOST_BITS:
             raise InputError(
-                f"{frame}: signal '{name}': {what} {value}; accepted: {least} to {_MOST_BITS}, "
+                f"{frame}: signal '{name}': {quantity} {value}; accepted: {minimum} to {_MOST_BITS}, "
                 f"of up to {_LONGEST_FRAME} bytes"
             )
     selected_by = int(selector) if multiplexed and selector else None
@@ -159,8 +159,8 @@ class _MultiplexerTree:
             name: dict(selectors.get(name, {})) for name in self._multiplexers
         }
         for name, selector in selector_of.items() if only else ():
-            known = self._signals_below[only].get(name, frozenset())
-            self._signals_below[only][name] = known | {selector}
+            selectors_of_ranges = self._signals_below[only].get(name, frozenset())
+            self._signals_below[only][name] = selectors_of_ranges | {selector}
         self._node_counts: dict[str, int] = {}
 
     def count_nodes(self) -> int:

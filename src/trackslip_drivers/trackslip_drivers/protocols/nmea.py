@@ -382,8 +382,8 @@ def _angle(text: str, letter: str, letters: str, limit: float) -> float:
     match = _ANGLE.fullmatch(text)
     if match is None or len(letter) != 1 or letter not in letters:
         raise ValueError(text)
-    whole, minutes = divmod(int(match[1]), 100)
-    degrees = whole + float(f"{minutes}.{match[2] or 0}") / 60.0
+    whole_degrees, minutes = divmod(int(match[1]), 100)
+    degrees = whole_degrees + float(f"{minutes}.{match[2] or 0}") / 60.0
     side = 1.0 if letter == letters[0] else -1.0
     return side * degrees if minutes < 60 and degrees <= limit else math.nan
 

@@ -130,8 +130,8 @@ def parse_reply(payload: bytes) -> Reply | ReplyFault:
     if code == ReplyCode.STATUS:
         return StatusReport(content)
     if code == ReplyCode.MODE:
-        known = len(content) == 1 and content[0] in set(ModeResult)
-        return ModeChanged(ModeResult(content[0])) if known else ReplyFault.BAD_STRUCTURE
+        is_known = len(content) == 1 and content[0] in set(ModeResult)
+        return ModeChanged(ModeResult(content[0])) if is_known else ReplyFault.BAD_STRUCTURE
     if code == ReplyCode.ERRORS:
         pairs = [(content[i], content[i + 1]) for i in range(0, len(content) - 1, 2)]
         if len(content) % 2 or any(kind not in set(Severity) for kind, _ in pairs):

@@ -77,8 +77,8 @@ class DeviceStatus:
     @property
     def severity_text(self) -> str:
         """The severity in words."""
-        known = self.severity in set(Severity)
-        return Severity(self.severity).name.lower() if known else f"severity {self.severity}"
+        is_known = self.severity in set(Severity)
+        return Severity(self.severity).name.lower() if is_known else f"severity {self.severity}"
 
     @staticmethod
     def from_byte(byte: int) -> "DeviceStatus":

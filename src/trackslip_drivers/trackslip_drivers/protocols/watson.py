@@ -77,9 +77,9 @@ class Channel:
 
     def __post_init__(self) -> None:
         """Reject names and formats that cannot be parsed."""
-        known = _ACCELERATION + _RATE + _FIELD + _ANGLES + _OTHER
-        if self.name not in known:
-            raise InputError(f"channels: '{self.name}' is unknown; accepted: {', '.join(known)}")
+        names = _ACCELERATION + _RATE + _FIELD + _ANGLES + _OTHER
+        if self.name not in names:
+            raise InputError(f"channels: '{self.name}' is unknown; accepted: {', '.join(names)}")
         if not re.fullmatch(r"\+?0+(\.0+)?", self.format):
             raise InputError(f"formats: '{self.format}' is not a field of zeros such as +00.0 or 000.0")
 
