@@ -15,7 +15,7 @@ def fixes():
     """About 2500 fixes, from four headings; half of the drives stay in view and keep their heading."""
     kinds = ({"farthest": 36.0, "hides": True}, {"farthest": 26.0, "hides": False})
     drives = [scored_drive(seed, 70.0, seed % 4 * np.pi / 2.0, **kinds[seed // 4]) for seed in range(8)]
-    return [fix for found, _ in drives for fix in found]
+    return [fix for scored, _ in drives for fix in scored]
 
 
 @pytest.mark.slow
