@@ -48,8 +48,8 @@ def thrust_at(slips: tuple[float, float]) -> Thrust:
 def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
     known = thrust_at((0.02, 0.03))
-    found = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
-    np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
+    estimate = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
+    np.testing.assert_allclose(estimate[0], (0.02, 0.03), rtol=1e-9)
     samples = []
     stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
     for z in rng.standard_normal((count, 5)):
@@ -60,7 +60,7 @@ def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -
             Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
         )
         samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
-    np.testing.assert_allclose(found[1], np.cov(np.array(samples).T), rtol=0.2)
+    np.testing.assert_allclose(estimate[1], np.cov(np.array(samples).T), rtol=0.2)
 
 
 def test_seed_has_the_sign_of_slip_in_reverse_and_when_braking() -> None:
@@ -88,7 +88,7 @@ class Ride:
 
     def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
         """Seeds while the machine drives ``lengths`` contact lengths in one motion state."""
-        found = []
+        seeds = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
             thrusts = (None, np.ones(2)) if self.known is None else self.known
@@ -98,8 +98,8 @@ class Ride:
             if self.soil is not None:
                 set_strength(self._seeder, self.soil)
             if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
-                found.append(make_seed(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
-        return found
+                seeds.append(make_seed(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
+        return seeds
 
 
 def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
@@ -154,7 +154,7 @@ def ride_on(soil: str) -> tuple[SoilInput, ...]:
 
 def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
     estimator = SoilEstimator(load_soil_parameters({k.replace("__", "."): v for k, v in changes.items()}))
-    outputs = [output for given in ride_on(soil) for output in estimator.advance(given)]
+    outputs = [output for soil_input in ride_on(soil) for output in estimator.advance(soil_input)]
     return [output for output in outputs if isinstance(output, SlipSeed)], estimator
 
 

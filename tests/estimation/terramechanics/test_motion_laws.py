@@ -150,7 +150,7 @@ def test_pressure_drop_inverts_orifice_flow(drop, area, density, discharge):
 
 @given(either_sign(between(0.0, 5e7)))
 def test_relieved_pressure_is_the_nearest_allowed(dp):
-    kept = hydraulics.relieved_pressure(dp, PC05)
-    assert abs(kept) <= PC05.relief_pressure
-    assert kept == dp or abs(kept) == PC05.relief_pressure < abs(dp)
-    assert hydraulics.relieved_pressure(kept, PC05) == kept
+    relieved = hydraulics.relieved_pressure(dp, PC05)
+    assert abs(relieved) <= PC05.relief_pressure
+    assert relieved == dp or abs(relieved) == PC05.relief_pressure < abs(dp)
+    assert hydraulics.relieved_pressure(relieved, PC05) == relieved

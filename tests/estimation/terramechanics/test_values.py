@@ -179,11 +179,11 @@ def test_centre_point_is_the_centroid(load):
     """(3.5) integrated numerically, across both cases of (3.6)."""
     weight, length, mu = 12e3, 1.3, 0.4
     a = 2.0 * GRAVITY * mu * load
-    size = [
+    moments = [
         integral(lambda x, k=k: x**k * np.abs(turning.lateral_force(x, weight, length, mu, a)), 0.0, length)
         for k in (0, 1)
     ]
-    assert turning.centre_point(length, mu, a) == pytest.approx(size[1] / size[0], rel=1e-5)
+    assert turning.centre_point(length, mu, a) == pytest.approx(moments[1] / moments[0], rel=1e-5)
 
 
 @pytest.mark.parametrize("load", [0.0, 0.05, 0.5, 1.0])
