@@ -86,11 +86,11 @@ def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -
     """``make test`` and ``colcon test`` import a test file by two names and share the cache on disk."""
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
-    ask = "from {name} import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
-    by_folder = "import sys\nsys.path.append('below')\n" + ask.format(name="inner")
-    for text, found in ((by_folder, 0.0), (ask.format(name="below.inner"), 0.0), (by_folder, 1.0)):
+    program = "from {name} import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
+    by_folder = "import sys\nsys.path.append('below')\n" + program.format(name="inner")
+    for text, cache_hits in ((by_folder, 0.0), (program.format(name="below.inner"), 0.0), (by_folder, 1.0)):
         (tmp_path / "outer.py").write_text(text, encoding="utf-8")
-        assert run(tmp_path) == [2.0, found]
+        assert run(tmp_path) == [2.0, cache_hits]
 
 
 @pytest.mark.slow
@@ -100,10 +100,10 @@ def test_folder_and_link_to_it_share_machine_code(tmp_path: Path) -> None:
     (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
     (tmp_path / "below" / "trackslip_caller.py").write_text(CALLER, encoding="utf-8")
     (tmp_path / "link").symlink_to("below")
-    for folder, found in (("below", 0.0), ("link", 1.0)):
+    for folder, cache_hits in (("below", 0.0), ("link", 1.0)):
         text = f"import sys\nsys.path.append('{folder}')\nimport trackslip_caller\n"
         (tmp_path / "outer.py").write_text(text, encoding="utf-8")
-        assert run(tmp_path) == [20.0, found]
+        assert run(tmp_path) == [20.0, cache_hits]
 
 
 SHIPPED = """

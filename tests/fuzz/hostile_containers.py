@@ -266,13 +266,13 @@ def _many(
     content: bytes = b"\0\1\0\0\1\0\0\0\0",
 ) -> None:
     text = b"string data\n" + b"#" * size
-    known = [
+    schema_ids = [
         writer.register_schema("std_msgs/msg/String" if k == 0 else f"a/msg/B{k}", "ros2msg", text)
         for k in range(schemas)
     ]
-    made = [writer.register_channel(f"/t{k}", "cdr", known[k % schemas]) for k in range(channels)]
+    channel_ids = [writer.register_channel(f"/t{k}", "cdr", schema_ids[k % schemas]) for k in range(channels)]
     for k in range(messages):
-        writer.add_message(made[k % channels], 10**18 + k, content, 10**18 + k)
+        writer.add_message(channel_ids[k % channels], 10**18 + k, content, 10**18 + k)
 
 
 def _text(writer: Writer, size: int) -> None:

@@ -34,7 +34,7 @@ from trackslip_drivers.protocols.nmea_stream import NmeaStream
 COUNTS = {"nmea": 1_000_000, "ubx": 1_000_000, "dbc": 100_000}
 MOST_MB = 1500
 _MS = 1_000_000
-_LOOK = 1000  # inputs between two checks with a valid fix
+_CHECK_INPUTS = 1000  # inputs between two checks with a valid fix
 _MOST_FINDINGS = 10
 _FIELDS = (
     *("", "0", "-0", "1e9", "nan", "inf", "-", ".", "9" * 40, "0x10", "1_0", "١٢", "4806.0", "60.0", "99"),
@@ -75,11 +75,11 @@ class Receiver:
             assert all(math.isfinite(value) for value in sample[1:3]), sample
         assert self._stream.bytes_held <= LONGEST_MESSAGE
         self._count += 1
-        if self._count % _LOOK == 0:
-            self._look()
+        if self._count % _CHECK_INPUTS == 0:
+            self._check_valid_epoch()
 
-    def _look(self) -> None:
-        """Check that a valid epoch is read after a silence."""
+    def _check_valid_epoch(self) -> None:
+        """Assert that a valid epoch is read after a silence."""
         self._now_ns += 5000 * _MS
         self._stream.flush()
         later = _AT._replace(time_ns=90_000_000_000 + self._now_ns % 10**12)

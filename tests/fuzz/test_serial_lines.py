@@ -108,8 +108,8 @@ def start_streaming(session: SickSession, now_ns: int) -> int:
         if session.phase is Phase.STREAMING:
             return now_ns
         now_ns += 100 * MS  # far above the answer times: time-outs pass quickly
-        asked = session.step(now_ns).write
-        session.receive(bytes((Control.ACK.value,)) + MODE_OK if asked else b"", now_ns)
+        command = session.step(now_ns).write
+        session.receive(bytes((Control.ACK.value,)) + MODE_OK if command else b"", now_ns)
     raise AssertionError(f"still {session.phase.value}")
 
 
