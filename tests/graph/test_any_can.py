@@ -16,18 +16,18 @@ from trackslip_drivers.transports.can_bus import CanBus
 
 @pytest.fixture
 def machine(can):
-    """An emulated machine that sends its frames in real time until the test ends."""
+    """CAN parameters of an emulated machine that sends its frames in real time until the test ends."""
     stopping = threading.Event()
     bus = CanBus("udp_multicast", MULTICAST, {"port": can["can_port"], "hop_limit": 0})  # stays on this host
 
-    def live():
+    def send_frames():
         begin_ns = time.time_ns()
         for sent in unseen_bus.frames(begin_ns, begin_ns + 600 * 1_000_000_000):
             if stopping.wait(max(sent.stamp_ns - time.time_ns(), 0) * 1e-9):
                 return
             bus.write((sent.arbitration_id, sent.data))
 
-    thread = threading.Thread(target=live)
+    thread = threading.Thread(target=send_frames)
     thread.start()
     yield can
     stopping.set()

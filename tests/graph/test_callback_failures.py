@@ -41,8 +41,8 @@ class Machine:
         return [values for _, message, values in self.entries("fragile") if message == "running"]
 
     def set(self, **values):
-        (found,) = self._observer.set_parameters("fragile", **values)
-        assert found.successful, found.reason
+        (result,) = self._observer.set_parameters("fragile", **values)
+        assert result.successful, result.reason
 
     def scan_until(self, condition, what):
         def publish_and_look():

@@ -31,7 +31,7 @@ def pose_now(x):
 class Machine:
     """Estimator and recorder, driven by the test."""
 
-    def __init__(self, programs, observer, *of_recorder):
+    def __init__(self, programs, observer, *recorder_options):
         self._programs, self._observer = programs, observer
         self._topics = {
             "sprockets": observer.publisher("sprockets"),
@@ -41,9 +41,9 @@ class Machine:
         self.reports = observer.subscribe("measurement_reports")
         self.odometry = observer.subscribe("odometry")
         self.healths = observer.healths()
-        self._recorder = programs.node("record", *of_recorder, output="bag")
+        self._recorder = programs.node("record", *recorder_options, output="bag")
         self._estimator = programs.node("slip_estimator", jump_confirmations=5)
-        received = ("sprockets", "box_pose") if of_recorder else self._topics
+        received = ("sprockets", "box_pose") if recorder_options else self._topics
         for topic in self._topics:
             observer.wait_for_ends(topic, "slip_estimator", *(["record"] if topic in received else []))
         observer.wait_for_ends("slip_estimator/parameters", "slip_estimator", "record")
@@ -54,9 +54,9 @@ class Machine:
 
     def feed(self, topic, message):
         """Publish a message and wait for its report; the reported outcome."""
-        requested = len(self.reports) + 1
+        expected = len(self.reports) + 1
         self._topics[topic].publish(message)
-        self._observer.wait(lambda: len(self.reports) >= requested, f"a report on {topic}")
+        self._observer.wait(lambda: len(self.reports) >= expected, f"a report on {topic}")
         return self.reports[-1].outcome
 
     def drive(self, start_ms, stop_ms):
@@ -109,8 +109,8 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
         ("vehicle.kinematics.tread", 0.7, False),
         ("gate_probability", 2.0, False),
     ):
-        (found,) = observer.set_parameters("slip_estimator", **{name: value})
-        assert found.successful is successful, found.reason
+        (result,) = observer.set_parameters("slip_estimator", **{name: value})
+        assert result.successful is successful, result.reason
     machine.feed("box_pose", driven_pose(1410))
     assert machine.reports[-1].gate < 12.0  # four times the quantile
 
@@ -135,9 +135,9 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     assert reported == [f"slip_estimator/{name}" for name in names]
     stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in machine.odometry])
     assert np.count_nonzero(np.diff(stamps) <= 0.0) == 1
-    found = machine.end()
-    assert found["replay_matches"] is True
-    assert found["rejected"]["box_pose"]["frozen"] == 1
+    result = machine.end()
+    assert result["replay_matches"] is True
+    assert result["rejected"]["box_pose"]["frozen"] == 1
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_pose_of_undiscovered_publisher_is_replayed(programs, observer):
     assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
     machine.drive(600, 1000)
     assert abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.5
-    found = machine.end()
-    assert found["messages"][SET_POSE] == 1
-    assert found["replay_matches"] is True
-    assert abs(found["final"]["x"] - 20.1) < 0.02
+    summary = machine.end()
+    assert summary["messages"][SET_POSE] == 1
+    assert summary["replay_matches"] is True
+    assert abs(summary["final"]["x"] - 20.1) < 0.02

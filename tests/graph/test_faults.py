@@ -75,8 +75,8 @@ class Rig:
         return None if status is None else (status.level, values_of(status))
 
     def value(self, name, key):
-        found = self.latest(name)
-        return None if found is None else found[1].get(key)
+        report = self.latest(name)
+        return None if report is None else report[1].get(key)
 
     def count(self, name, key):
         """A count in a node's report; it also shows events that end before the next report."""
@@ -87,12 +87,12 @@ class Rig:
 
     def complains(self, sensor):
         """Whether the driver reports missing data."""
-        found = self.latest(NODE[sensor])
-        return found is not None and found[0] not in (OK, WARN)
+        report = self.latest(NODE[sensor])
+        return report is not None and report[0] not in (OK, WARN)
 
     def is_ok(self, name):
-        found = self.latest(name)
-        return found is not None and found[0] == OK
+        report = self.latest(name)
+        return report is not None and report[0] == OK
 
     def is_nominal(self, sensor):
         return (

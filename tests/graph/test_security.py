@@ -55,7 +55,7 @@ class Rights(NamedTuple):
 def read_policy() -> dict[str, Rights]:
     """{node: rights} as sros2 reads the policy: includes resolved, names made absolute."""
     common = list(ElementTree.parse(SECURITY / "node.xml").getroot())
-    found = {}
+    policy = {}
     for enclave in ElementTree.parse(SECURITY / "policy.xml").getroot().iter("enclave"):
         (profile,) = enclave.iter("profile")
         name = profile.attrib["node"]
@@ -68,8 +68,8 @@ def read_policy() -> dict[str, Rights]:
                 ((kind, allowed),) = part.attrib.items()
                 assert allowed == "ALLOW"
                 getattr(rights, kind).update(absolute(entry.text or "", name) for entry in part)
-        found[name] = rights
-    return found
+        policy[name] = rights
+    return policy
 
 
 def absolute(text: str, node: str) -> str:
@@ -96,8 +96,8 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
         "record:output": tmp_path / "bag",
     }
     arguments = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    given = ["--ros-args", *arguments]
-    rclpy.init(args=given, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    arguments = ["--ros-args", *arguments]
+    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     nodes: list[Any] = [kind() for kind in CONFIGURED]
     for node in nodes:
         node.trigger_configure()
