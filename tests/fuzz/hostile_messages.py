@@ -144,7 +144,7 @@ def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> N
 
     In 32 bits it may become infinite.
     """
-    if _is_of_float32(message):
+    if message.__msgtype__ == "sensor_msgs/msg/LaserScan":  # of float32
         with np.errstate(over="ignore"):
             value = float(np.float32(value))
     for field in dataclasses.fields(message):
@@ -156,10 +156,6 @@ def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> N
         elif isinstance(old, np.ndarray) and old.dtype.kind == "f" and only in ("", name):
             with np.errstate(over="ignore"):
                 setattr(message, field.name, np.full_like(old, value))
-
-
-def _is_of_float32(message: Any) -> bool:
-    return bool(message.__msgtype__ == "sensor_msgs/msg/LaserScan")
 
 
 def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:

@@ -60,7 +60,7 @@ def test_unknown_machine_is_read_by_its_dbc_and_roles(real_time, programs, obser
     assert reported("frames without a role") > 10
 
 
-def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs, observer):
+def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs):
     dbc, roles = unseen_bus.write(programs.folder, dbc=unseen_bus.DBC.replace('"bar"', '"at"'))
     program = programs.node("can_driver", dbc_file=str(dbc), roles_file=str(roles))
     assert program.wait() == 2

@@ -37,9 +37,9 @@ def wait_for_drive(observer):
     observer.wait(lambda: len(sprockets) > 100, "the drive")
 
 
-def assert_ends_quietly(programs, program, number=signal.SIGINT):
-    """Assert that the demo ends on the signal quietly, and that all its processes end by themselves."""
-    code, _ = program.end(number)
+def assert_ends_quietly(programs, program):
+    """Assert that the demo ends on Ctrl-C quietly, and that all its processes end by themselves."""
+    code, _ = program.end(signal.SIGINT)
     assert code == 130
     assert "Traceback" not in program.stderr
     assert set(program.stderr.splitlines()) <= {"interrupted"}

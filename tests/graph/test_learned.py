@@ -70,12 +70,12 @@ class Graph:
             self.topics[m.source].publish(message_of(m))
             self.observer.wait(lambda n=count: len(self.reports) >= n, f"{count} reports")
 
-    def status(self, name, condition=lambda _: True):
+    def status(self, name):
         """The next diagnostics entry of this name, and its values."""
         self.healths.clear()
 
         def found():
-            return [h for h in self.healths if h.name == name and condition(h)]
+            return [h for h in self.healths if h.name == name]
 
         self.observer.wait(found, name)
         entry = found()[-1]

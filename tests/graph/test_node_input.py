@@ -160,7 +160,7 @@ def test_ctrl_c_while_a_node_starts(programs, node, moment):
     assert (code, program.stderr) == (0, "")
 
 
-def test_ctrl_c_while_the_emulator_compiles(programs, observer):
+def test_ctrl_c_while_the_emulator_compiles(programs):
     programs.environment["NUMBA_CACHE_DIR"] = str(programs.folder / "empty")
     program = programs.node("emulator", device_directory=str(programs.folder / "dev"))
     program.until(lambda: program.stderr.endswith("\n"), "its first line")

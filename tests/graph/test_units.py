@@ -85,7 +85,7 @@ def test_command_works_for_half_a_minute_with_kernels_of_its_own(
 
 
 @confined
-def test_only_the_directories_of_the_unit_are_writable(tmp_path: Path) -> None:
+def test_only_the_directories_of_the_unit_are_writable() -> None:
     unit = Unit(SYSTEMD / "trackslip-record.service")
     places = [
         "/etc",

@@ -149,10 +149,10 @@ def test_partly_hidden_box_is_located_with_larger_covariance():
     assert split.covariance[:2, :2].trace() < half.covariance[:2, :2].trace()
 
 
-def seen_again(pose_at, scans, hidden_for, seed=11):
+def seen_again(pose_at, scans, hidden_for):
     """Outcomes after the box is followed for 10 scans and hidden for ``hidden_for``."""
     localizer = BoxLocalizer(PARAMETERS, BOX)
-    scanner = SiteScanner(BARE, BOX, seed=seed)
+    scanner = SiteScanner(BARE, BOX, seed=11)
     drive(localizer, scanner, pose_at, 10)
     change = {"change": lambda _, ranges: hidden(ranges, 0, 361)}
     blind = drive(localizer, scanner, pose_at, hidden_for, first=10, **change)

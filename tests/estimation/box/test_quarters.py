@@ -22,21 +22,19 @@ QUARTERS = np.pi / 2.0 * np.arange(4)
 NARROW = np.diag([0.01, 0.01, 0.03]) ** 2
 
 
-def modes(log_odds=0.0, covariance=NARROW):
+def modes(log_odds=0.0):
     """Modes about heading 0. The odd ones are shifted by 5 cm and have ``log_odds`` against the others."""
-    return [
-        Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), covariance, log_odds * (k % 2)) for k in range(4)
-    ]
+    return [Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), NARROW, log_odds * (k % 2)) for k in range(4)]
 
 
-def after_scans(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
+def after_scans(headings, log_odds, scans, *, moved=0.0):
     """Modes, weights and headings after ``scans`` scans, each ``moved`` m from the one before."""
     weights = None
     for k in range(scans):
         scan_modes = modes(log_odds)
         for mode in scan_modes:
             mode.pose[0] += k * moved
-        ordered_modes, weights, headings = headings.update(scan_modes, 0.0, stddev**2, step=0.1)
+        ordered_modes, weights, headings = headings.update(scan_modes, 0.0, 0.05**2, step=0.1)
         if abs(ordered_modes[0].pose[2]) > 0.1:
             return ordered_modes, weights, headings
     return ordered_modes, weights, headings

@@ -30,8 +30,8 @@ def after_turn():
     return localizer, scanner
 
 
-def fixes_of(localizer, scanner, first, scans=20):
-    outcomes = drive(localizer, scanner, turning, scans, first=first)
+def fixes_of(localizer, scanner, first):
+    outcomes = drive(localizer, scanner, turning, 20, first=first)
     return [fix for fix in outcomes if isinstance(fix, BoxFix)]
 
 

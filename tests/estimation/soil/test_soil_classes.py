@@ -24,9 +24,9 @@ AXES = (GRID.log_moduli, GRID.log_limits)
 CLASSES = SoilClasses(P.classes, SOILS.values(), VEHICLE, GRID)
 
 
-def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> FloatArray:
+def posterior_about(modulus: float, limit: float) -> FloatArray:
     """A narrow posterior about one soil."""
-    k, f = ((a - math.log(v)) / spread for a, v in zip(AXES, (modulus, limit), strict=True))
+    k, f = ((a - math.log(v)) / 0.03 for a, v in zip(AXES, (modulus, limit), strict=True))
     grid = np.exp(-0.5 * (k[:, None] ** 2 + f[None, :] ** 2))
     return np.asarray(grid / grid.sum())
 

@@ -30,15 +30,15 @@ SPEED, STEP = 0.35, 0.2
 MODULUS, LIMIT, FORCE = 0.01, 3640.0, 1290.0
 
 
-def pose_at(distance: float, yaw: float = 0.0, stddev: float = 0.0) -> PoseWithCovariance:
+def pose_at(distance: float, stddev: float = 0.0) -> PoseWithCovariance:
     """A pose ``distance`` m along a line in the direction of the heading; ``stddev`` of its position, m."""
-    pose = np.array((5.0 + distance * np.cos(yaw), -3.0 + distance * np.sin(yaw), yaw))
+    pose = np.array((5.0 + distance, -3.0, 0.0))
     return PoseWithCovariance(pose, np.diag((stddev**2, stddev**2, 0.0)))
 
 
-def slip_of(modulus: float, limit: float, force: float = FORCE) -> float:
-    """Slip of (3.3) at ``force``."""
-    return float(brentq(lambda slip: thrust(slip, limit, modulus, LENGTH) - force, 1e-6, 0.99))
+def slip_of(modulus: float, limit: float) -> float:
+    """Slip of (3.3) at ``FORCE``."""
+    return float(brentq(lambda slip: thrust(slip, limit, modulus, LENGTH) - FORCE, 1e-6, 0.99))
 
 
 def slip_over(straight: StraightSegment, distance: float, sign: float = 1.0) -> FloatArray:
