@@ -27,9 +27,9 @@ def modes(log_odds=0.0):
     return [Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), NARROW, log_odds * (k % 2)) for k in range(4)]
 
 
-def after_scans(headings, log_odds, scans, *, moved=0.0):
-    """Modes, weights and headings after ``scans`` scans, each ``moved`` m from the one before."""
-    weights = None
+def after_scans(log_odds, scans, *, moved=0.0):
+    """Modes, weights and headings after ``scans`` scans from ``OPEN``, each ``moved`` m from the last."""
+    headings, weights = OPEN, None
     for k in range(scans):
         scan_modes = modes(log_odds)
         for mode in scan_modes:
@@ -68,31 +68,31 @@ OPEN = Headings(np.array([0.5, 0.2, 0.2, 0.1]), SideEvidence())
 
 @pytest.mark.parametrize("scans", [1, 5])
 def test_sides_are_not_settled_within_a_second_however_accurate_the_scans_are(scans):
-    _, weights, headings = after_scans(OPEN, -50.0, scans, moved=0.2)
+    _, weights, headings = after_scans(-50.0, scans, moved=0.2)
     assert headings.weights[1] > 0.1
     assert weights[1] > NEGLIGIBLE_PROBABILITY
 
 
 def test_many_scans_settle_the_sides_and_leave_half_a_turn_open():
-    _, weights, headings = after_scans(OPEN, -3.0, 15, moved=0.2)
+    _, weights, headings = after_scans(-3.0, 15, moved=0.2)
     assert headings.weights == pytest.approx([5.0 / 7.0, 0.0, 2.0 / 7.0, 0.0], abs=1e-6)
     assert weights == pytest.approx(headings.weights)
 
 
 def test_wrong_prior_of_the_sides_is_corrected():
-    ordered_modes, _, headings = after_scans(OPEN, 3.0, 15, moved=0.2)
+    ordered_modes, _, headings = after_scans(3.0, 15, moved=0.2)
     assert abs(np.sin(ordered_modes[0].pose[2])) == pytest.approx(1.0)
     assert headings.evidence.log_odds < 0.0
 
 
 def test_scans_from_one_place_count_as_one_piece_of_evidence():
     """The same beams hit and miss in each scan: 100 scans with a ratio of 1 : 2 count as one."""
-    assert after_scans(OPEN, -0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
+    assert after_scans(-0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
     assert SideEvidence().update(0.5, np.zeros(3), 0.1).rotate_quarter().log_odds == -0.5
 
 
 def test_absence_forgets_the_evidence():
-    headings = after_scans(OPEN, -0.7, 5, moved=0.2)[2]
+    headings = after_scans(-0.7, 5, moved=0.2)[2]
     _, _, lost = headings.update(modes(), 0.0, 1.0, step=0.1)
     assert lost.evidence.log_odds == 0.0
 

@@ -146,20 +146,20 @@ LEGS = (
 
 
 @cache
-def ride_on(soil: str) -> tuple[SoilInput, ...]:
-    truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*leg) for leg in LEGS)))
+def loam_inputs() -> tuple[SoilInput, ...]:
+    truth = simulate(Scenario(name="test", soil="sandy_loam", segments=tuple(Segment(*leg) for leg in LEGS)))
     sensing = InputErrors(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
     return tuple(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, sensing))
 
 
-def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
+def seeds_on_loam(**changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
     estimator = SoilEstimator(load_soil_parameters({k.replace("__", "."): v for k, v in changes.items()}))
-    outputs = [output for soil_input in ride_on(soil) for output in estimator.advance(soil_input)]
+    outputs = [output for soil_input in loam_inputs() for output in estimator.advance(soil_input)]
     return [output for output in outputs if isinstance(output, SlipSeed)], estimator
 
 
 def test_soil_estimator_publishes_one_seed_after_each_turn() -> None:
-    seeds, estimator = seeds_on("sandy_loam")
+    seeds, estimator = seeds_on_loam()
     assert estimator.strength.identifiable
     after = [(seed.stamp_ns - seeds[0].stamp_ns) * 1e-9 for seed in seeds]
     assert after == pytest.approx([0.0, 23.0], abs=1.0)
@@ -169,7 +169,7 @@ def test_soil_estimator_publishes_one_seed_after_each_turn() -> None:
 
 
 def test_soil_estimator_publishes_no_seed_for_unidentifiable_soil() -> None:
-    seeds, estimator = seeds_on("sandy_loam", strength__widest_ratio=1.01)
+    seeds, estimator = seeds_on_loam(strength__widest_ratio=1.01)
     assert not estimator.strength.identifiable
     assert seeds == []
 
