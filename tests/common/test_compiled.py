@@ -124,13 +124,13 @@ def write_kernel(folder: Path) -> None:
 def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, used = tmp_path / "made", tmp_path / "used"
-    write_kernel(made)
+    built, used = tmp_path / "made", tmp_path / "used"
+    write_kernel(built)
     write_kernel(used)
     with monkeypatch.context() as context:
         context.setenv("NUMBA_CPU_NAME", "generic")
-        assert run(made) == [2.0, 0.0]
-    shutil.copytree(made / "cache", used / "shipped")
+        assert run(built) == [2.0, 0.0]
+    shutil.copytree(built / "cache", used / "shipped")
     assert run(used) == [2.0, 1.0]
     assert not (used / "cache").exists()  # no compilation
 
@@ -138,14 +138,14 @@ def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
 def test_shipped_machine_code_of_another_source_version_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, used = tmp_path / "made", tmp_path / "used"
-    write_kernel(made)
+    built, used = tmp_path / "made", tmp_path / "used"
+    write_kernel(built)
     write_kernel(used)
     (used / "kernel.py").write_text(CALLEE.format(added=3.0), encoding="utf-8")
     with monkeypatch.context() as context:
         context.setenv("NUMBA_CPU_NAME", "generic")
-        run(made)
-    shutil.copytree(made / "cache", used / "shipped")
+        run(built)
+    shutil.copytree(built / "cache", used / "shipped")
     assert run(used) == [4.0, 0.0]
 
 

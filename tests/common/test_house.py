@@ -70,14 +70,14 @@ def sources() -> dict[str, Path]:
 
 def imports(module: str, *, deep: bool = False) -> set[str]:
     """Modules imported when a module is loaded; with ``deep`` also those imported inside functions."""
-    tree, found = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
+    tree, modules = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
     for node in ast.walk(tree) if deep else tree.body:
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             names = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= (names & sources().keys()) or {node.module}
-    return found
+            modules |= (names & sources().keys()) or {node.module}
+    return modules
 
 
 def libraries(names: set[str]) -> set[str]:

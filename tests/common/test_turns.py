@@ -76,8 +76,8 @@ def test_nan_angles_are_skipped() -> None:
     angles[::7] = math.nan
     unwrapped = unwrap_angles(STAMPS_NS, angles)
     assert np.isnan(unwrapped[::7]).all()
-    known = np.isfinite(unwrapped)
-    np.testing.assert_allclose(unwrapped[known], (5.0 * TIMES)[known], atol=1e-9)
+    finite = np.isfinite(unwrapped)
+    np.testing.assert_allclose(unwrapped[finite], (5.0 * TIMES)[finite], atol=1e-9)
 
 
 def test_angle_beyond_one_turn_is_continuous() -> None:

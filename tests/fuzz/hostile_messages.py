@@ -160,12 +160,12 @@ def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> N
 
 def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:
     """The valid recording with each ``every``-th message of a topic changed."""
-    lines, seen = [], 0
+    lines, number = [], 0
     for line in good():
         if line.topic == topic:
-            if seen % every == every // 2:
-                line = _changed_line(line, change, seen)
-            seen += 1
+            if number % every == every // 2:
+                line = _changed_line(line, change, number)
+            number += 1
         lines.append(line)
     return write(lines, folder)
 
@@ -357,8 +357,8 @@ def raw_bytes() -> Family:
 
 
 def _with_bytes(topic: str, variant: Callable[[bytes], bytes], every: int, folder: Path) -> Path:
-    own = [line for line in good() if line.topic == topic][::every]
-    chosen = set(map(id, own))
+    of_topic = [line for line in good() if line.topic == topic][::every]
+    chosen = set(map(id, of_topic))
     return write((m._replace(raw=variant(m.raw)) if id(m) in chosen else m for m in good()), folder)
 
 
@@ -376,10 +376,10 @@ def kinds() -> Family:
     others += [make("sensor_msgs/msg/LaserScan"), make("nav_msgs/msg/Odometry"), make("std_msgs/msg/Empty")]
     for topic in sorted({*(f"/{name}" for name in TOPICS), *topics(), "/reference_pose", "/tf_static"}):
         for other in others:
-            own = Line(topic, other.__msgtype__, serialize(other), begin_ns)
-            if topic in first() and _type(topic) == own.type_name:
+            message = Line(topic, other.__msgtype__, serialize(other), begin_ns)
+            if topic in first() and _type(topic) == message.type_name:
                 continue
-            yield f"kinds{topic}={own.type_name}", partial(_with_others, own)
+            yield f"kinds{topic}={message.type_name}", partial(_with_others, message)
 
 
 def _with_others(other: Line, folder: Path) -> Path:
@@ -423,8 +423,8 @@ def _written(lines: Callable[[], Iterable[Line]], folder: Path) -> Path:
 
 
 def _few(topic: str, count: int, folder: Path) -> Path:
-    own = [line for line in good() if line.topic == topic][:count]
-    return write(sorted([*own, *without(topic)], key=lambda line: line.log_ns), folder)
+    of_topic = [line for line in good() if line.topic == topic][:count]
+    return write(sorted([*of_topic, *without(topic)], key=lambda line: line.log_ns), folder)
 
 
 def _alone(topic: str, folder: Path) -> Path:

@@ -72,11 +72,11 @@ class Machine:
         """The next diagnostics entry whose message contains the text."""
         self.healths.clear()
 
-        def found():
+        def matching():
             return [h for h in self.healths if h.name == "slip_estimator" and text in h.message]
 
-        self._observer.wait(found, text)
-        return found()[0]
+        self._observer.wait(matching, text)
+        return matching()[0]
 
     def end(self):
         """End both nodes; the summary of a replay of the bag."""

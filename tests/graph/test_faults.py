@@ -159,7 +159,7 @@ def test_malformed_faults_are_refused_and_counted(programs, observer, can):
 def test_a_hundred_faults_in_a_row(programs, observer, can, failing):
     """No node ends, leaks memory or stays below its nominal rate."""
     rig, choose = Rig(programs, observer, can, failing), random.Random(1)
-    kinds = {kind: sorted({*of} & {*failing}) for kind, (of, _) in RANDOM_FAULTS.items()}
+    kinds = {kind: sorted({*possible} & {*failing}) for kind, (possible, _) in RANDOM_FAULTS.items()}
     before = None
     for n in range(100):
         kind = choose.choice(sorted(kind for kind, sensors in kinds.items() if sensors))

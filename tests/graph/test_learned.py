@@ -74,11 +74,11 @@ class Graph:
         """The next diagnostics entry of this name, and its values."""
         self.healths.clear()
 
-        def found():
+        def matching():
             return [h for h in self.healths if h.name == name]
 
-        self.observer.wait(found, name)
-        entry = found()[-1]
+        self.observer.wait(matching, name)
+        entry = matching()[-1]
         return entry, values_of(entry)
 
     def ask(self, service):

@@ -90,8 +90,8 @@ def test_unknown_parameter(programs, node):
 )
 def test_refused_value(assert_refused, node, name):
     value = REFUSED[node][name]
-    shown = value if isinstance(value, str) else f"{value:g}"
-    assert_refused(node, ros_arguments(**{name: value}), name.rpartition("__")[2], shown)
+    text = value if isinstance(value, str) else f"{value:g}"
+    assert_refused(node, ros_arguments(**{name: value}), name.rpartition("__")[2], text)
 
 
 @pytest.mark.parametrize("node", NODES)

@@ -127,16 +127,16 @@ class Graph:
         """
         truth = np.array([(_stamp_ns(m), *_pose(m), at_ns - _stamp_ns(m)) for m, at_ns in self._truth])
         rows = np.array([(_stamp_ns(m), *_pose(m), *_deviations(m)) for m in self.estimates])
-        known = (rows[:, 0] >= truth[0, 0]) & (rows[:, 0] <= truth[-1, 0])
+        valid = (rows[:, 0] >= truth[0, 0]) & (rows[:, 0] <= truth[-1, 0])
         for late_ns in truth[truth[:, 4] > LATE_S * 1e9, 0]:
-            known &= (rows[:, 0] < late_ns - LATE_S * 1e9) | (rows[:, 0] > late_ns + SETTLED_S * 1e9)
-        self.counted += known.sum()
-        self.published += len(known)
+            valid &= (rows[:, 0] < late_ns - LATE_S * 1e9) | (rows[:, 0] > late_ns + SETTLED_S * 1e9)
+        self.counted += valid.sum()
+        self.published += len(valid)
         del self._truth[: -round(SETTLED_S * 100.0)]
         self.estimates.clear()
-        if not known.any():
+        if not valid.any():
             return 0.0, "the emulator was late"
-        rows, since = rows[known], truth[0, 0]
+        rows, since = rows[valid], truth[0, 0]
         actual = np.column_stack(
             [
                 np.interp(rows[:, 0] - since, truth[:, 0] - since, values)

@@ -240,12 +240,12 @@ def test_full_disk_is_reported_and_the_bag_stays_recoverable(programs, observer)
     observer.wait_for_recorder(healths, "emulator/fault")
     noise = random.Random(1)
 
-    def is_full():
+    def full_disk_reports():
         publisher.publish(String(data=noise.randbytes(200_000).hex()))
         return [h for h in healths if h.name == "record" and "cannot write (File too large)" in h.message]
 
-    observer.wait(is_full, "the disk to be full")
-    report = is_full()[-1]
+    observer.wait(full_disk_reports, "the disk to be full")
+    report = full_disk_reports()[-1]
     assert report.level == DiagnosticStatus.ERROR
     assert "/emulator/fault lost" in {pair.key for pair in report.values}
     assert program.end()[0] == 0

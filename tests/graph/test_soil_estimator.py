@@ -69,8 +69,8 @@ class Machine:
         for k in range(0, len(inputs), _BURST):
             burst = inputs[k : k + _BURST]
             self.send(burst)
-            made = [o for soil_input in burst for o in estimator.advance(soil_input) if hasattr(o, "thrust")]
-            outputs |= {o.stamp_ns: o for o in made}
+            forces = [o for one in burst for o in estimator.advance(one) if hasattr(o, "thrust")]
+            outputs |= {o.stamp_ns: o for o in forces}
             expected = len(outputs)
             self._observer.wait(lambda n=expected: len(self.forces) >= n, "forces")
         return outputs

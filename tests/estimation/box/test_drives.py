@@ -22,10 +22,10 @@ def fixes():
 @pytest.mark.parametrize("name", CLASSES)
 def test_errors_of_position_and_heading_agree_with_their_covariance(fixes, name):
     low, high = CLASSES[name]
-    seen = [fix for fix in fixes if low <= fix.beams < high]
-    headings = [fix.heading for fix in seen if fix.claims_heading]
+    chosen = [fix for fix in fixes if low <= fix.beams < high]
+    headings = [fix.heading for fix in chosen if fix.claims_heading]
     assert len(headings) > LEAST
-    assert 0.7 < np.mean([fix.position for fix in seen]) / 2.0 < 1.5
+    assert 0.7 < np.mean([fix.position for fix in chosen]) / 2.0 < 1.5
     assert 0.7 < np.mean(headings) < 1.5
 
 

@@ -47,33 +47,33 @@ def thrust_at(slips: tuple[float, float]) -> Thrust:
 @pytest.mark.slow
 def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
-    known = thrust_at((0.02, 0.03))
-    estimate = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
+    measured = thrust_at((0.02, 0.03))
+    estimate = straight_slips(measured, np.ones(2), SOIL, P.seed, LENGTH)
     np.testing.assert_allclose(estimate[0], (0.02, 0.03), rtol=1e-9)
     samples = []
-    stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
+    stddev = np.sqrt(measured.variance + P.seed.thrust_stddev**2)
     for z in rng.standard_normal((count, 5)):
         modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
         limit = SOIL.thrust_limit * (3603.0 / 3400.0) ** (z[1] / 3.29)
         soil = replace(SOIL, shear_modulus=modulus, thrust_limit=limit)
         one = straight_slips(
-            Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
+            Thrust(measured.force + stddev * z[2:4], measured.variance), np.ones(2), soil, P.seed, LENGTH
         )
         samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
     np.testing.assert_allclose(estimate[1], np.cov(np.array(samples).T), rtol=0.2)
 
 
 def test_seed_has_the_sign_of_slip_in_reverse_and_when_braking() -> None:
-    known = thrust_at((0.02, -0.01))
-    forward = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
-    reverse = straight_slips(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    measured = thrust_at((0.02, -0.01))
+    forward = straight_slips(measured, np.ones(2), SOIL, P.seed, LENGTH)
+    reverse = straight_slips(Thrust(-measured.force, measured.variance), -np.ones(2), SOIL, P.seed, LENGTH)
     np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
 def test_thrust_beyond_the_soil_limit_gives_no_seed() -> None:
     ride = Ride()
-    ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    ride.thrust = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
     ride.seeds(Motion.TURNING, 1.0)
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
 
@@ -83,7 +83,7 @@ class Ride:
 
     def __init__(self) -> None:
         self._seeder, self._numbers, self._now_ns = np.zeros(1, dtype_of(Seeder))[0], make_config(P)[0], 0
-        self.known: Thrust | None = thrust_at((0.02, 0.02))
+        self.thrust: Thrust | None = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 
     def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
@@ -91,7 +91,7 @@ class Ride:
         seeds = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
-            thrusts = (None, np.ones(2)) if self.known is None else self.known
+            thrusts = (None, np.ones(2)) if self.thrust is None else self.thrust
             moment = Sample(0.1, TRACKS, thrusts=thrusts[0], thrust_variances=thrusts[1], motion=motion)
             sample, thrust = moment.records()
             sample["stamp_ns"] = self._now_ns
@@ -117,9 +117,9 @@ def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
 def test_unknown_thrust_gives_no_seed() -> None:
     ride = Ride()
     ride.seeds(Motion.TURNING, 1.0)
-    known, ride.known = ride.known, None
+    measured, ride.thrust = ride.thrust, None
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
-    ride.known = known
+    ride.thrust = measured
     assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
 
 
