@@ -52,7 +52,7 @@ class Reader:
     seeds: Sequence[bytes]  # valid files: none may be rejected
     read: Callable[[Path], int | None]
     suffix: str = ".yaml"
-    bombs: Sequence[bytes] = ()  # hostile files to begin with
+    bombs: Sequence[bytes] = ()  # hostile files that are mutated like the seeds
 
 
 def _config(pattern: str) -> list[bytes]:

@@ -28,7 +28,7 @@ def pose_now(x):
     return message
 
 
-class Machine:
+class Graph:
     """Estimator and recorder, driven by the test."""
 
     def __init__(self, programs, observer, *recorder_options):
@@ -86,22 +86,22 @@ class Machine:
 
 
 def test_every_user_command_is_executed_reported_and_answered(programs, observer):
-    machine = Machine(programs, observer)
-    assert machine.health("waiting for sprockets").level == DiagnosticStatus.WARN
-    machine.drive(200, 1000)
+    graph = Graph(programs, observer)
+    assert graph.health("waiting for sprockets").level == DiagnosticStatus.WARN
+    graph.drive(200, 1000)
     at_ms = 1000
 
-    answer = machine.ask(SetBool, "freeze", SetBool.Request(data=True))
+    answer = graph.ask(SetBool, "freeze", SetBool.Request(data=True))
     assert answer.success
-    assert machine.feed("box_pose", driven_pose(at_ms)) == R.FROZEN
-    assert machine.feed("sprockets", sprockets(at_ms, SPEED)) == R.ACCEPTED
-    assert machine.ask(SetBool, "freeze", SetBool.Request(data=False)).success
-    machine.drive(at_ms + 20, 1400)
+    assert graph.feed("box_pose", driven_pose(at_ms)) == R.FROZEN
+    assert graph.feed("sprockets", sprockets(at_ms, SPEED)) == R.ACCEPTED
+    assert graph.ask(SetBool, "freeze", SetBool.Request(data=False)).success
+    graph.drive(at_ms + 20, 1400)
 
-    assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
-    machine.feed("sprockets", sprockets(1400, SPEED))
-    observer.wait(lambda: abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.01, "the given pose")
-    assert machine.feed("box_pose", driven_pose(1400)) == R.GATED
+    assert graph.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
+    graph.feed("sprockets", sprockets(1400, SPEED))
+    observer.wait(lambda: abs(graph.odometry[-1].pose.pose.position.x - 20.0) < 0.01, "the given pose")
+    assert graph.feed("box_pose", driven_pose(1400)) == R.GATED
 
     for name, value, successful in (
         ("gate_probability", 0.5, True),
@@ -111,31 +111,31 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     ):
         (result,) = observer.set_parameters("slip_estimator", **{name: value})
         assert result.successful is successful, result.reason
-    machine.feed("box_pose", driven_pose(1410))
-    assert machine.reports[-1].gate < 12.0  # four times the quantile
+    graph.feed("box_pose", driven_pose(1410))
+    assert graph.reports[-1].gate < 12.0  # four times the quantile
 
-    assert machine.ask(Trigger, "reset", Trigger.Request()).success
-    assert machine.feed("sprockets", sprockets(1420, SPEED)) == R.WAITING
-    machine.drive(1600, 6000)
+    assert graph.ask(Trigger, "reset", Trigger.Request()).success
+    assert graph.feed("sprockets", sprockets(1420, SPEED)) == R.WAITING
+    graph.drive(1600, 6000)
     outcomes = [
-        machine.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
+        graph.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
     ]  # the stamps start again, as in a repeated bag
     assert outcomes == [R.TOO_LATE] * 4 + [R.RESTARTED]
-    machine.drive(200, 1500)
+    graph.drive(200, 1500)
 
-    silent = machine.health("sprockets silent")
+    silent = graph.health("sprockets silent")
     assert silent.level == DiagnosticStatus.ERROR
     values = values_of(silent)
     assert values["restarts"] == "1"
     assert int(values["sprockets too_late"]) == 4
     assert "if consistent" in values["box_pose nis"]
 
-    reported = [r.source for r in machine.reports if r.source.startswith("slip_estimator/")]
+    reported = [r.source for r in graph.reports if r.source.startswith("slip_estimator/")]
     names = ("freeze", "unfreeze", "set_pose", "parameters", "parameters", "reset")
     assert reported == [f"slip_estimator/{name}" for name in names]
-    stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in machine.odometry])
+    stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in graph.odometry])
     assert np.count_nonzero(np.diff(stamps) <= 0.0) == 1
-    result = machine.end()
+    result = graph.end()
     assert result["replay_matches"] is True
     assert result["rejected"]["box_pose"]["frozen"] == 1
 
@@ -143,12 +143,12 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
 @pytest.mark.slow
 def test_pose_of_undiscovered_publisher_is_replayed(programs, observer):
     """The recorder may miss a program that sets a pose and ends immediately."""
-    machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")
-    machine.drive(200, 600)
-    assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
-    machine.drive(600, 1000)
-    assert abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.5
-    summary = machine.end()
+    graph = Graph(programs, observer, "-r", f"{SET_POSE}:=unheard")
+    graph.drive(200, 600)
+    assert graph.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
+    graph.drive(600, 1000)
+    assert abs(graph.odometry[-1].pose.pose.position.x - 20.0) < 0.5
+    summary = graph.end()
     assert summary["messages"][SET_POSE] == 1
     assert summary["replay_matches"] is True
     assert abs(summary["final"]["x"] - 20.1) < 0.02

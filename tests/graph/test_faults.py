@@ -85,7 +85,7 @@ class Rig:
     def fault(self, text):
         self._fault.publish(String(data="{" + text + "}"))
 
-    def complains(self, sensor):
+    def is_data_missing(self, sensor):
         """Whether the driver reports missing data."""
         report = self.latest(NODE[sensor])
         return report is not None and report[0] not in (OK, WARN)
@@ -126,7 +126,7 @@ def test_sensors_fail_and_come_back(rig):
     missed = set()
 
     def all_missed():
-        missed.update(filter(rig.complains, NODE))
+        missed.update(filter(rig.is_data_missing, NODE))
         return missed == set(NODE)
 
     rig.wait(all_missed, "all to be missed")

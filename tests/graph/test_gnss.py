@@ -61,9 +61,8 @@ def test_antenna_position_and_heading_match_the_truth(real_time, machine, observ
     for message in headings:
         if times[0] < seconds(message) < times[-1]:
             heading = 2 * math.atan2(message.orientation.z, message.orientation.w)
-            assert math.remainder(heading - np.interp(seconds(message), times, yaw), math.tau) == pytest.approx(
-                0.0, abs=0.03
-            )
+            error = heading - np.interp(seconds(message), times, yaw)
+            assert math.remainder(error, math.tau) == pytest.approx(0.0, abs=0.03)
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def message_of(soil_input):
     return message
 
 
-class Machine:
+class SoilNode:
     """The node, driven by the test."""
 
     def __init__(self, programs, observer, **parameters):
@@ -93,39 +93,39 @@ def inputs():
 
 
 def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observer, inputs):
-    machine = Machine(programs, observer)
-    outputs = machine.feed(inputs, SoilEstimator(load_soil_parameters()))
-    assert len(machine.forces) == len(outputs) > 90
-    for message in machine.forces:
+    node = SoilNode(programs, observer)
+    outputs = node.feed(inputs, SoilEstimator(load_soil_parameters()))
+    assert len(node.forces) == len(outputs) > 90
+    for message in node.forces:
         expected = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
         assert (message.left_thrust, message.right_thrust) == expected.thrust
         assert (message.left_resistance, message.right_resistance) == expected.resistance
-    assert machine.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
-    assert machine.soils[-1].header.frame_id == "base_link"
-    assert sum(machine.soils[-1].class_probabilities) == pytest.approx(1.0)
-    machine.until_reported(DiagnosticStatus.OK, "running")
+    assert node.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
+    assert node.soils[-1].header.frame_id == "base_link"
+    assert sum(node.soils[-1].class_probabilities) == pytest.approx(1.0)
+    node.until_reported(DiagnosticStatus.OK, "running")
 
 
 def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, inputs):
     """Resistances equal those of the estimator with a swing, and differ from those without."""
-    machine = Machine(programs, observer, vehicle="pc05_cab")
+    node = SoilNode(programs, observer, vehicle="pc05_cab")
     swung = [
         replace(one, swing=1.5, swing_variance=1e-4) if isinstance(one, records.MachineState) else one
         for one in inputs
     ]
-    outputs = machine.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
-    assert len(machine.forces) == len(outputs) > 90
-    for message in machine.forces:
+    outputs = node.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
+    assert len(node.forces) == len(outputs) > 90
+    for message in node.forces:
         expected = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
         assert (message.left_resistance, message.right_resistance) == expected.resistance
-    last = machine.forces[-1]
+    last = node.forces[-1]
     assert abs(last.left_resistance) > 1.3 * abs(last.right_resistance)
 
 
 @pytest.mark.slow
 def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, observer, inputs):
-    machine = Machine(programs, observer)
-    machine.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")
+    node = SoilNode(programs, observer)
+    node.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
@@ -142,18 +142,18 @@ def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, obse
         [i for i in inputs if not isinstance(i, Hydraulics)],
         SoilEstimator(load_soil_parameters()),
     )
-    machine.feed(without[:100], estimator)
-    machine.send(bad)
-    machine.feed(without[100:], estimator)
-    machine.until_reported(DiagnosticStatus.ERROR, "hydraulics silent", "held")
-    machine.until_reported(DiagnosticStatus.ERROR, "slip estimator silent")
-    code, _ = machine.program.end(signal.SIGINT)
+    node.feed(without[:100], estimator)
+    node.send(bad)
+    node.feed(without[100:], estimator)
+    node.until_reported(DiagnosticStatus.ERROR, "hydraulics silent", "held")
+    node.until_reported(DiagnosticStatus.ERROR, "slip estimator silent")
+    code, _ = node.program.end(signal.SIGINT)
     assert code == 0
-    assert machine.program.stderr.count("Traceback") == 0
+    assert node.program.stderr.count("Traceback") == 0
 
 
 def test_only_the_limits_of_the_warning_change_at_run_time(programs, observer):
-    Machine(programs, observer)
+    SoilNode(programs, observer)
     for name, value, accepted in (
         ("stuck_time", 2.0, True),
         ("high_slip", 2.0, False),

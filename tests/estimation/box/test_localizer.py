@@ -178,9 +178,9 @@ def test_sides_are_uncertain_when_the_box_is_back_in_sight():
         for outcome in drive(localizer, scanner, turned, 80, first=32):
             assert isinstance(outcome, BoxFix)
             assert outcome.covariance[2, 2] > CEILING**2  # half a turn stays ambiguous
-            miss = error(outcome, turned)
-            assert np.all(np.abs(miss) < 4.0 * np.sqrt(np.diag(outcome.covariance)))
-        assert abs(np.sin(miss[2])) < 0.2  # a quarter turn does not
+            deviation = error(outcome, turned)
+            assert np.all(np.abs(deviation) < 4.0 * np.sqrt(np.diag(outcome.covariance)))
+        assert abs(np.sin(deviation[2])) < 0.2  # a quarter turn does not
 
 
 def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
@@ -191,8 +191,8 @@ def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
     fix = locate(
         BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), BOX), 1.0, scanner.scan(1.0, pose_at)
     )
-    miss = error(fix, pose_at)
-    assert miss @ np.linalg.solve(fix.covariance, miss) < 16.0
+    deviation = error(fix, pose_at)
+    assert deviation @ np.linalg.solve(fix.covariance, deviation) < 16.0
     assert np.linalg.eigvalsh(fix.covariance[:2, :2])[1] > 0.05**2
 
 

@@ -267,7 +267,7 @@ def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_
 @pytest.mark.parametrize("lever", [(-1.2, 0.6), (1.5, 0.5)])
 @pytest.mark.parametrize("stddev", [0.02, 3.0])
 def test_a_wrong_lever_arm_is_no_scale_of_the_gyro(lever: tuple[float, float], stddev: float) -> None:
-    """As with the lever arm of a vehicle that a first mapping guesses."""
+    """As where a first mapping file guesses the vehicle, and with it the lever arm."""
     log = make_drive(has_heading=False)
     (fixes,) = log.fixes
     wrong = replace(fixes, lever=lever, stddevs=np.full(len(fixes.t), stddev))
@@ -421,7 +421,7 @@ def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period
 
 @pytest.mark.parametrize("name", ["diameter for radius", "increments as positions", "lever arm ahead"])
 def test_a_mistake_is_named_though_fixes_state_far_more_noise_than_they_have(name: str) -> None:
-    """A first mapping guesses 3 m."""
+    """A first mapping file often guesses 3 m."""
     (fixes,) = drive().fixes
     log = replace(drive(), fixes=(replace(fixes, stddevs=np.full(len(fixes.t), 3.0)),))
     assert check(log).causes == ()
