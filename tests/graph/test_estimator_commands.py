@@ -135,15 +135,15 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     assert reported == [f"slip_estimator/{name}" for name in names]
     stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in graph.odometry])
     assert np.count_nonzero(np.diff(stamps) <= 0.0) == 1
-    result = graph.end()
-    assert result["replay_matches"] is True
-    assert result["rejected"]["box_pose"]["frozen"] == 1
+    summary = graph.end()
+    assert summary["replay_matches"] is True
+    assert summary["rejected"]["box_pose"]["frozen"] == 1
 
 
 @pytest.mark.slow
 def test_pose_of_undiscovered_publisher_is_replayed(programs, observer):
     """The recorder may miss a program that sets a pose and ends immediately."""
-    graph = Graph(programs, observer, "-r", f"{SET_POSE}:=unheard")
+    graph = Graph(programs, observer, "-r", f"{SET_POSE}:=unrecorded")
     graph.drive(200, 600)
     assert graph.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
     graph.drive(600, 1000)
