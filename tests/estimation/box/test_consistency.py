@@ -66,7 +66,7 @@ def first_fix(pose, prediction, stddev, seed, resolution=0.01):
     return BoxLocalizer(parameters, BOX).locate(scan)
 
 
-def pose_error(fix, pose):
+def miss(fix, pose):
     turned = fix.yaw - pose[2]
     return np.array([fix.x - pose[0], fix.y - pose[1], np.arctan2(np.sin(turned), np.cos(turned))])
 
@@ -87,7 +87,7 @@ def test_errors_agree_with_their_covariance(stddev, position, heading):
         pose = np.array([distance * np.cos(bearing), distance * np.sin(bearing), yaw])
         fix = first_fix(pose, pose + 0.05 * random.standard_normal(3), stddev, seed)
         if isinstance(fix, BoxFix):
-            errors.append(pose_error(fix, pose))
+            errors.append(miss(fix, pose))
             nees.append(errors[-1] @ np.linalg.solve(fix.covariance, errors[-1]))
     assert len(errors) >= 299
     lower, upper = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
@@ -111,7 +111,7 @@ def test_exact_without_noise_where_two_sides_are_seen(distance, bearing, corner,
     )
     fix = first_fix(pose, pose + np.array([0.1, -0.1, 0.1]), stddev=0.0, seed=0, resolution=0.0)
     assert isinstance(fix, BoxFix)
-    assert pose_error(fix, pose) == pytest.approx(0.0, abs=4e-3)
+    assert miss(fix, pose) == pytest.approx(0.0, abs=4e-3)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)

@@ -174,9 +174,9 @@ anything = st.one_of(st.floats(width=32), st.floats(-0.125, 0.125), st.sampled_f
         st.tuples(st.integers(-(2**31), 2**32), anything, anything, anything, st.integers(0, 400)), max_size=8
     )
 )
-def test_localizer_recovers_after_any_scans(bad_scans):
+def test_localizer_recovers_after_any_scans(given_scans):
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=20.0), BOX)
-    for stamp, angle_min, angle_increment, time_increment, beams in bad_scans:
+    for stamp, angle_min, angle_increment, time_increment, beams in given_scans:
         geometry = {"angle_min": angle_min, "angle_increment": angle_increment}
         ranges = SiteScanner(BARE, BOX, seed=3).scan(1.0, ORIGIN)[:beams]
         bad = scan(stamp, ranges=ranges, time_increment=time_increment, **geometry)

@@ -41,18 +41,18 @@ def samples(draw: st.DrawFn) -> Sample:
 @pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(st.lists(samples(), min_size=1, max_size=4))
-def test_posterior_stays_a_distribution_for_any_input(drawn: list[Sample]) -> None:
+def test_posterior_stays_a_distribution_for_any_input(given_samples: list[Sample]) -> None:
     strength = Strength(SMALL, P.vehicle.whole())
-    for sample in drawn:
+    for sample in given_samples:
         strength.update(sample)
         cells = strength.posterior.cells
         assert np.isfinite(cells).all()
         assert (cells >= 0.0).all()
         assert abs(cells.sum() - 1.0) < 1e-9
-        summary = strength.posterior.summary()
+        found = strength.posterior.summary()
         for value, (low, high) in (
-            (summary.shear_modulus, summary.shear_modulus_interval),
-            (summary.thrust_limit, summary.thrust_limit_interval),
+            (found.shear_modulus, found.shear_modulus_interval),
+            (found.thrust_limit, found.thrust_limit_interval),
         ):
             assert 0.0 < low < value < high
 

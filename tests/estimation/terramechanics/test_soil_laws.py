@@ -171,8 +171,8 @@ def test_slip_inverts_thrust(slip, limit, modulus, length):
     u = abs(slip) * length / modulus
     assume(u < 1e4)
     force = traction.thrust(slip, limit, modulus, length)
-    inverse = traction.slip_of_thrust(force, limit, modulus, length)
-    assert inverse == pytest.approx(slip, rel=1e-14 * (1.0 + u) + 5e-14)
+    found = traction.slip_of_thrust(force, limit, modulus, length)
+    assert found == pytest.approx(slip, rel=1e-14 * (1.0 + u) + 5e-14)
 
 
 @given(either_sign(power_of_ten(-300, -0.0001)), limits, moduli, lengths)
@@ -204,13 +204,13 @@ def test_slip_grows_with_thrust(q1, q2, limit, modulus, length):
 def test_error_of_the_approximate_slip(u, modulus, length):
     """(3.12) is exact at u = 1, too large below, and at most 12.62 % too small above; Fig. 3.9."""
     slip = u * modulus / length
-    inverse = traction.slip_of_thrust_approximate(
+    found = traction.slip_of_thrust_approximate(
         traction.thrust(slip, 1.0, modulus, length), 1.0, modulus, length
     )
     if u <= 1.0:
-        assert inverse >= slip * (1 - 1e-9)
+        assert found >= slip * (1 - 1e-9)
     else:
-        assert 0.8738 * slip < inverse <= slip * (1 + 1e-9)
+        assert 0.8738 * slip < found <= slip * (1 + 1e-9)
 
 
 @given(either_sign(slips), between(1.0, 1e5), st.integers(1, 40), moduli, lengths)
