@@ -110,8 +110,8 @@ def test_files_are_moved_into_place_by_one_module() -> None:
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
                 continue
-            of_path = node.func.attr in ("replace", "rename") and len(node.args) == 1 and not node.keywords
-            of_system = ast.unparse(node.func) in ("os.replace", "os.rename", "shutil.move")
-            if of_path or of_system:
+            moves_path = node.func.attr in ("replace", "rename") and len(node.args) == 1 and not node.keywords
+            calls_system = ast.unparse(node.func) in ("os.replace", "os.rename", "shutil.move")
+            if moves_path or calls_system:
                 moving.add(file.relative_to(SOURCES).as_posix().partition("/")[2])
     assert moving == MOVES

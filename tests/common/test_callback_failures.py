@@ -86,7 +86,7 @@ def repeat(guarded, clock, seconds, step=0.5):
         clock.now += step
 
 
-def test_uninterrupted_failures_become_hopeless_after_their_limit(failures, clock):
+def test_uninterrupted_failures_are_a_long_streak_after_their_limit(failures, clock):
     guarded = failures.guard(fail, "scan", handles_data=True)
     repeat(guarded, clock, STREAK_S)
     assert not failures.has_long_streak
@@ -115,7 +115,7 @@ def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
 @pytest.mark.parametrize(
     ("duration", "step"), [(10.0 * STREAK_S, PAUSE_S + 0.1), (STREAK_S + PAUSE_S, PAUSE_S)]
 )
-def test_rare_or_few_failures_are_not_hopeless(failures, clock, duration, step):
+def test_rare_or_few_failures_are_no_long_streak(failures, clock, duration, step):
     guarded = failures.guard(fail, "timer")
     repeat(guarded, clock, duration, step=step)
     assert not failures.has_long_streak

@@ -22,8 +22,8 @@ def test_one_sample_far_ahead_is_refused_and_the_head_stays() -> None:
 
 
 def test_samples_ahead_that_agree_are_accepted() -> None:
-    found = statuses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
-    assert found == [IN_LINE, *[AHEAD] * (CONFIRMATIONS - 1), *[IN_LINE] * 2]
+    results = statuses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
+    assert results == [IN_LINE, *[AHEAD] * (CONFIRMATIONS - 1), *[IN_LINE] * 2]
 
 
 @pytest.mark.parametrize("stamps", [[100.0, 300.0, 900.0, 2200.0, 5000.0], [100.0, 99.9, 99.8, 99.7, 99.6]])
@@ -56,10 +56,10 @@ def test_slow_samples_confirm_a_clock_set_back() -> None:
 
 
 def test_a_sample_in_line_ends_the_streak() -> None:
-    found = statuses([1.0, 100.0, 100.1, 100.2, 1.1, 100.3])
-    assert found[-2:] == [IN_LINE, AHEAD]
-    found = statuses([9.0, 1.0, 1.1, 1.2, 9.1, 1.3], oldest=7.0)
-    assert found[1:] == [*[BEHIND] * 3, IN_LINE, BEHIND]
+    results = statuses([1.0, 100.0, 100.1, 100.2, 1.1, 100.3])
+    assert results[-2:] == [IN_LINE, AHEAD]
+    results = statuses([9.0, 1.0, 1.1, 1.2, 9.1, 1.3], oldest=7.0)
+    assert results[1:] == [*[BEHIND] * 3, IN_LINE, BEHIND]
 
 
 def test_consistent_samples_behind_confirm_a_clock_set_back() -> None:

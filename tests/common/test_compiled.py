@@ -86,11 +86,11 @@ def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -
     """``make test`` and ``colcon test`` import a test file by two names and share the cache on disk."""
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
-    ask = "from {name} import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
-    by_folder = "import sys\nsys.path.append('below')\n" + ask.format(name="inner")
-    for text, found in ((by_folder, 0.0), (ask.format(name="below.inner"), 0.0), (by_folder, 1.0)):
+    program = "from {name} import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
+    by_folder = "import sys\nsys.path.append('below')\n" + program.format(name="inner")
+    for text, cache_hits in ((by_folder, 0.0), (program.format(name="below.inner"), 0.0), (by_folder, 1.0)):
         (tmp_path / "outer.py").write_text(text, encoding="utf-8")
-        assert run(tmp_path) == [2.0, found]
+        assert run(tmp_path) == [2.0, cache_hits]
 
 
 @pytest.mark.slow
@@ -100,10 +100,10 @@ def test_folder_and_link_to_it_share_machine_code(tmp_path: Path) -> None:
     (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
     (tmp_path / "below" / "trackslip_caller.py").write_text(CALLER, encoding="utf-8")
     (tmp_path / "link").symlink_to("below")
-    for folder, found in (("below", 0.0), ("link", 1.0)):
+    for folder, cache_hits in (("below", 0.0), ("link", 1.0)):
         text = f"import sys\nsys.path.append('{folder}')\nimport trackslip_caller\n"
         (tmp_path / "outer.py").write_text(text, encoding="utf-8")
-        assert run(tmp_path) == [20.0, found]
+        assert run(tmp_path) == [20.0, cache_hits]
 
 
 SHIPPED = """
@@ -124,13 +124,13 @@ def write_kernel(folder: Path) -> None:
 def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, used = tmp_path / "made", tmp_path / "used"
-    write_kernel(made)
+    built, used = tmp_path / "made", tmp_path / "used"
+    write_kernel(built)
     write_kernel(used)
     with monkeypatch.context() as context:
         context.setenv("NUMBA_CPU_NAME", "generic")
-        assert run(made) == [2.0, 0.0]
-    shutil.copytree(made / "cache", used / "shipped")
+        assert run(built) == [2.0, 0.0]
+    shutil.copytree(built / "cache", used / "shipped")
     assert run(used) == [2.0, 1.0]
     assert not (used / "cache").exists()  # no compilation
 
@@ -138,14 +138,14 @@ def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
 def test_shipped_machine_code_of_another_source_version_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, used = tmp_path / "made", tmp_path / "used"
-    write_kernel(made)
+    built, used = tmp_path / "made", tmp_path / "used"
+    write_kernel(built)
     write_kernel(used)
     (used / "kernel.py").write_text(CALLEE.format(added=3.0), encoding="utf-8")
     with monkeypatch.context() as context:
         context.setenv("NUMBA_CPU_NAME", "generic")
-        run(made)
-    shutil.copytree(made / "cache", used / "shipped")
+        run(built)
+    shutil.copytree(built / "cache", used / "shipped")
     assert run(used) == [4.0, 0.0]
 
 

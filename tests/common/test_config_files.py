@@ -62,11 +62,11 @@ def test_config_is_found_beside_the_code_whatever_is_sourced(monkeypatch: pytest
 
 
 def test_a_file_of_the_user_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = tmp_path / "soils.yaml"
-    own.write_text("{}", encoding="utf-8")
-    assert config_file(str(own)) == own
+    file = tmp_path / "soils.yaml"
+    file.write_text("{}", encoding="utf-8")
+    assert config_file(str(file)) == file
     monkeypatch.chdir(tmp_path)
-    assert config_file("soils.yaml").resolve() == own
+    assert config_file("soils.yaml").resolve() == file
     assert config_file("record.yaml") == config_directory() / "record.yaml"
 
 

@@ -60,24 +60,24 @@ RECORDS = {
 @cache
 def sources() -> dict[str, Path]:
     """Files of all packages by module name."""
-    found = {}
+    files = {}
     for root in ROOT.glob("src/*/"):
         for file in (root / root.name).rglob("*.py"):
             parts = file.relative_to(root).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
-    return found
+            files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return files
 
 
 def imports(module: str, *, deep: bool = False) -> set[str]:
     """Modules imported when a module is loaded; with ``deep`` also those imported inside functions."""
-    tree, found = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
+    tree, modules = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
     for node in ast.walk(tree) if deep else tree.body:
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             names = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= (names & sources().keys()) or {node.module}
-    return found
+            modules |= (names & sources().keys()) or {node.module}
+    return modules
 
 
 def libraries(names: set[str]) -> set[str]:
@@ -86,19 +86,19 @@ def libraries(names: set[str]) -> set[str]:
     return {top for top in tops if not ROS.fullmatch(top) and not top.startswith("trackslip")}
 
 
-def room(module: str) -> str:
-    """``kalman`` of ``trackslip_estimation.kalman.update``; a module outside of folders is its own room."""
+def folder_of(module: str) -> str:
+    """``kalman`` of ``trackslip_estimation.kalman.update``; a module outside of folders is its own folder."""
     return module.split(".")[1] if module.count(".") > 1 else module
 
 
 @pytest.mark.parametrize("package", BELOW)
 def test_package_imports_only_those_below_it(package: str) -> None:
-    barred = BELOW.keys() - BELOW[package] - {package}
+    forbidden = BELOW.keys() - BELOW[package] - {package}
     wrong = {
-        module: found
+        module: imported
         for module in sources()
         if module.split(".")[0] == package
-        and (found := {name for name in imports(module, deep=True) if name.split(".")[0] in barred})
+        and (imported := {name for name in imports(module, deep=True) if name.split(".")[0] in forbidden})
     }
     assert wrong == {}
 
@@ -113,8 +113,8 @@ def test_folders_of_the_estimators_have_no_import_cycle() -> None:
     graph: dict[str, set[str]] = {}
     for module in sources():
         if module.startswith("trackslip_estimation."):
-            own = {name for name in imports(module, deep=True) if name.startswith("trackslip_estimation.")}
-            graph.setdefault(room(module), set()).update(map(room, own))
+            used = {name for name in imports(module, deep=True) if name.startswith("trackslip_estimation.")}
+            graph.setdefault(folder_of(module), set()).update(map(folder_of, used))
     graph = {name: below - {name} for name, below in graph.items()}
     assert graph.keys() >= {"kalman", "attitude", "slip", "soil", "box", "gnss", "terramechanics", "nodes"}
     list(TopologicalSorter(graph).static_order())
@@ -123,10 +123,10 @@ def test_folders_of_the_estimators_have_no_import_cycle() -> None:
 
 def test_only_nodes_import_ros() -> None:
     wrong = {
-        module: found
+        module: imported
         for module in sources()
         if ".nodes" not in module
-        and (found := {name for name in imports(module, deep=True) if ROS.fullmatch(name.split(".")[0])})
+        and (imported := {name for name in imports(module, deep=True) if ROS.fullmatch(name.split(".")[0])})
     }
     assert wrong == {}
 
@@ -135,21 +135,21 @@ def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
     """Name of each function, whether it is compiled, and its annotations by argument name."""
     for node in ast.walk(ast.parse(sources()[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef):
-            marks = {mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)}
+            decorators = {mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)}
             arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
             hints = {"return": node.returns, **{argument.arg: argument.annotation for argument in arguments}}
-            written = {name: ast.unparse(hint) for name, hint in hints.items() if hint is not None}
-            yield node.name, bool(marks & {"compiled", "inlined"}), written
+            annotations = {name: ast.unparse(hint) for name, hint in hints.items() if hint is not None}
+            yield node.name, bool(decorators & {"compiled", "inlined"}), annotations
 
 
-@pytest.mark.parametrize("of", ["attitude", "box", "gnss", "slip", "soil", "terramechanics"])
-def test_records_have_types_in_signatures(of: str) -> None:
+@pytest.mark.parametrize("folder", ["attitude", "box", "gnss", "slip", "soil", "terramechanics"])
+def test_records_have_types_in_signatures(folder: str) -> None:
     """All arguments of kernels have types, and those of other functions that are passed to kernels."""
-    own = [module for module in sources() if module.startswith(f"trackslip_estimation.{of}.")]
-    assert own
+    modules = [module for module in sources() if module.startswith(f"trackslip_estimation.{folder}.")]
+    assert modules
     wrong = {
         (module, function, name): hint
-        for module in own
+        for module in modules
         for function, is_compiled, hints in signatures(module)
         for name, hint in hints.items()
         if re.search(r"\bAny\b", hint) and (is_compiled or name in RECORDS)
@@ -159,8 +159,8 @@ def test_records_have_types_in_signatures(of: str) -> None:
 
 @pytest.mark.parametrize("package", ["trackslip_common", "trackslip_drivers", "trackslip_estimation"])
 def test_package_of_the_vehicle_imports_no_library_of_the_desk(package: str) -> None:
-    own = [module for module in sources() if module.split(".")[0] == package]
-    assert libraries(set().union(*(imports(module, deep=True) for module in own))) - ON_VEHICLE == set()
+    modules = [module for module in sources() if module.split(".")[0] == package]
+    assert libraries(set().union(*(imports(module, deep=True) for module in modules))) - ON_VEHICLE == set()
 
 
 def test_every_source_file_states_licence_and_copyright() -> None:
@@ -191,17 +191,17 @@ def test_all_packages_state_one_version_one_home_and_one_level() -> None:
             text = setup.read_text(encoding="utf-8")
             assert f'version="{about.findtext("version")}"' in text
             assert f'maintainer_email="{email}"' in text
-    ((version, urls, email, of_all),) = stated
+    ((version, urls, email, level_of_all),) = stated
     assert version == __version__
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert [kind for kind, _ in urls] == ["repository", "bugtracker"]
     has_home = not any("trackslip.invalid" in str(address) for address in (*urls, email))
-    assert of_all == "4" or (
+    assert level_of_all == "4" or (
         has_home and not str(version).startswith("0.")
     )  # REP-2004: 1.ii and 2.i of level 3
 
 
 def test_the_tests_of_a_module_belong_to_one_worker(request: pytest.FixtureRequest) -> None:
     """xdist reads the group from the test name; without it each worker makes the module's fixtures."""
-    is_shared_out = getattr(request.config.option, "loadgroup", False)  # xdist sets it in its workers
-    assert request.node.nodeid.endswith("@tests/common/test_house.py") == is_shared_out
+    is_distributed = getattr(request.config.option, "loadgroup", False)  # xdist sets it in its workers
+    assert request.node.nodeid.endswith("@tests/common/test_house.py") == is_distributed

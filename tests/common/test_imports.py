@@ -50,7 +50,7 @@ SYSTEMS = {"debian", "ubuntu"}
 
 def imported(package: str) -> dict[str, set[str]]:
     """Top-level names imported by each file of a package, at any depth of the code."""
-    files = sorted(file for room in (package, "launch") for file in (SOURCES / package / room).rglob("*.py"))
+    files = sorted(file for root in (package, "launch") for file in (SOURCES / package / root).rglob("*.py"))
     assert files
     return {str(file.relative_to(SOURCES)): set(_names(file)) - {package} for file in files}
 
@@ -87,7 +87,7 @@ def test_package_declares_no_library_that_it_does_not_import(package: str) -> No
 
 DESK = {"rosbags", "polars", "bokeh", "matplotlib", "distributed", "dask", "rich", "jinja2", "ruamel"}
 # A recorder needs the definitions of its topics beyond its imports.
-RECORDS = """
+LOAD_DEFINITIONS = """
 from trackslip_bags.writer import own_schema
 from trackslip_common.topics import TOPICS
 for name, topic in TOPICS.items():
@@ -131,7 +131,7 @@ def _sourced() -> list[str]:
 def test_recorder_loads_no_library_of_the_desk() -> None:
     """Definitions of topics load none either; ``test_house.py`` covers imports of other programs."""
     names = "{name.partition('.')[0] for name in sys.modules}"
-    code = f"import sys, trackslip_bags.nodes.record\n{RECORDS}\nprint(*{names})"
+    code = f"import sys, trackslip_bags.nodes.record\n{LOAD_DEFINITIONS}\nprint(*{names})"
     command = [*_sourced(), sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())

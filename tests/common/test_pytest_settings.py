@@ -89,8 +89,8 @@ def test_settings_of_every_package_find_the_modules_that_tests_import(
 ) -> None:
     settings = ConfigParser()
     settings.read(file)
-    found = {(file.parent / name).resolve() for name in settings["pytest"]["pythonpath"].split()}
-    assert found == {Path(path).resolve() for path in request.config.getini("pythonpath")}
+    paths = {(file.parent / name).resolve() for name in settings["pytest"]["pythonpath"].split()}
+    assert paths == {Path(path).resolve() for path in request.config.getini("pythonpath")}
 
 
 @pytest.mark.parametrize("file", SETTINGS, ids=lambda file: file.parent.name)

@@ -14,7 +14,7 @@ def watch_of(monkeypatch):
     """A function that returns a watch whose sleeps are late by ``late_s``, repeatedly, for a second."""
     now_s = 0.0
 
-    def made(late_s):
+    def make(late_s):
         nonlocal now_s
         late = itertools.cycle(late_s)
 
@@ -30,7 +30,7 @@ def watch_of(monkeypatch):
         monkeypatch.undo()
         return watch
 
-    return made
+    return make
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ class Part(Record):
     """A nested record."""
 
     number: int
-    is_sound: bool
+    is_valid: bool
 
 
 class Whole(Record):
@@ -72,7 +72,7 @@ class MachineRecord(Numbers, Record):
 
 
 def test_a_declaration_has_the_dtype_of_its_fields_in_their_order() -> None:
-    part = np.dtype([("number", np.int64), ("is_sound", np.bool_)], align=True)
+    part = np.dtype([("number", np.int64), ("is_valid", np.bool_)], align=True)
     fields = [
         ("value", np.float64),
         ("mean", np.float64, (3,)),

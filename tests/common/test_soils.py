@@ -41,16 +41,16 @@ def scaled(values, factors):
 @pytest.mark.parametrize("name", TABLE_6_1)
 def test_table_6_1(name):
     s = soil(name)
-    found = [s.cohesion, s.friction_angle, s.shear_modulus, s.mu_r, s.mu_l, s.n, s.k_c, s.k_phi]
-    assert found == scaled(TABLE_6_1[name], (1e3, math.pi / 180, 0.01, 1, 1, 1, 1e3, 1e3))
+    values = [s.cohesion, s.friction_angle, s.shear_modulus, s.mu_r, s.mu_l, s.n, s.k_c, s.k_phi]
+    assert values == scaled(TABLE_6_1[name], (1e3, math.pi / 180, 0.01, 1, 1, 1, 1e3, 1e3))
 
 
 @pytest.mark.parametrize("name", TABLE_2_1)
 def test_table_2_1(name):
     s = soil(name)
-    found = [s.cohesion, s.friction_angle, s.shear_modulus]
-    found += [s.rubber_cohesion, s.rubber_friction_angle, s.rubber_shear_modulus]
-    assert found == scaled(TABLE_2_1[name], (1e3, math.pi / 180, 0.01) * 2)
+    values = [s.cohesion, s.friction_angle, s.shear_modulus]
+    values += [s.rubber_cohesion, s.rubber_friction_angle, s.rubber_shear_modulus]
+    assert values == scaled(TABLE_2_1[name], (1e3, math.pi / 180, 0.01) * 2)
 
 
 @pytest.mark.parametrize("name", TABLE_2_2)

@@ -26,20 +26,20 @@ def wrapped(angles: np.ndarray, first: float, turn: float = math.tau) -> np.ndar
 def test_angles_that_wrap_are_followed(first: float, speed: float) -> None:
     """At 70 rad/s an angle moves by more than a fifth of a turn between two samples."""
     angles = 0.3 + speed * TIMES + 0.5 * np.sin(3.0 * TIMES)
-    found = unwrap_angles(STAMPS_NS, wrapped(angles, first))
-    np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
+    unwrapped = unwrap_angles(STAMPS_NS, wrapped(angles, first))
+    np.testing.assert_allclose(unwrapped - unwrapped[0], angles - angles[0], atol=1e-9)
 
 
 def test_angles_that_turn_back_at_the_end_of_a_turn_are_followed() -> None:
     angles = math.pi + 0.2 * np.sin(7.0 * TIMES)
-    found = unwrap_angles(STAMPS_NS, wrapped(angles, -math.pi))
-    np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
+    unwrapped = unwrap_angles(STAMPS_NS, wrapped(angles, -math.pi))
+    np.testing.assert_allclose(unwrapped - unwrapped[0], angles - angles[0], atol=1e-9)
 
 
 def test_angles_of_another_unit() -> None:
     angles = 400.0 * TIMES
-    found = unwrap_angles(STAMPS_NS, wrapped(angles, 0.0, 360.0), turn=360.0)
-    np.testing.assert_allclose(found, angles, atol=1e-9)
+    unwrapped = unwrap_angles(STAMPS_NS, wrapped(angles, 0.0, 360.0), turn=360.0)
+    np.testing.assert_allclose(unwrapped, angles, atol=1e-9)
 
 
 @given(
@@ -74,14 +74,14 @@ def test_jump_after_a_gap_is_not_unwrapped() -> None:
 def test_nan_angles_are_skipped() -> None:
     angles = wrapped(5.0 * TIMES, -math.pi)
     angles[::7] = math.nan
-    found = unwrap_angles(STAMPS_NS, angles)
-    assert np.isnan(found[::7]).all()
-    known = np.isfinite(found)
-    np.testing.assert_allclose(found[known], (5.0 * TIMES)[known], atol=1e-9)
+    unwrapped = unwrap_angles(STAMPS_NS, angles)
+    assert np.isnan(unwrapped[::7]).all()
+    finite = np.isfinite(unwrapped)
+    np.testing.assert_allclose(unwrapped[finite], (5.0 * TIMES)[finite], atol=1e-9)
 
 
 def test_angle_beyond_one_turn_is_continuous() -> None:
     """The first step may be unwrapped wrongly; no later one is."""
     counter = TurnCounter()
-    found = [counter.unwrap(k * 100_000_000, angle) for k, angle in enumerate((0.2, 5.9, 11.6, 17.3))]
-    assert np.diff(found[1:]) == pytest.approx([5.7, 5.7])
+    unwrapped = [counter.unwrap(k * 100_000_000, angle) for k, angle in enumerate((0.2, 5.9, 11.6, 17.3))]
+    assert np.diff(unwrapped[1:]) == pytest.approx([5.7, 5.7])

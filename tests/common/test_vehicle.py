@@ -46,9 +46,9 @@ def test_kinematics_are_enough_for_pose_and_slips_but_not_for_soil(file: Path) -
     vehicle = load_vehicle(str(file))
     assert (vehicle.name, vehicle.kinematics.tread, vehicle.mass) == ("digger", 2.0, None)
     assert load_slip_parameters({"vehicle": str(file)}).vehicle == vehicle
-    lacking = load_soil_parameters({"vehicle": str(file)})
+    parameters = load_soil_parameters({"vehicle": str(file)})
     with pytest.raises(InputError, match=r"^vehicle 'digger' has no mass and no hydraulics; accepted:"):
-        SoilEstimator(lacking)
+        SoilEstimator(parameters)
     with pytest.raises(InputError, match=r"^vehicle 'digger' has no sensors\.box for the laser"):
         _ = vehicle.box
 

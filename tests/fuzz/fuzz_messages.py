@@ -48,7 +48,7 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 COUNT = 100_000  # messages per topic
 _SENTINEL = 0.1234567890123
 _PERIOD_NS = 10_000_000  # between two valid samples
-_LOOK = 1000  # periods
+_CHECK_PERIODS = 1000  # between two checks of the health
 _VALUES = np.array(
     (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -1.0, 1e-300, -1e-300, 5e-324, 1e300, -1e300, 1.7e308)
 )
@@ -92,13 +92,13 @@ class Mutator:
         marked, plain = make(topic.type_name, **fields), make(topic.type_name, **fields)
         _fill(marked, len(topic.names), lambda _, n: np.full(n, _SENTINEL))
         _fill(plain, len(topic.names), _plain)
-        self._raw, requested = bytes(serialize_message(marked)), struct.pack("<d", _SENTINEL)
-        self._places = [at for at in range(len(self._raw)) if self._raw.startswith(requested, at)]
+        self._raw, sentinel = bytes(serialize_message(marked)), struct.pack("<d", _SENTINEL)
+        self._places = [at for at in range(len(self._raw)) if self._raw.startswith(sentinel, at)]
         raw = bytes(serialize_message(plain))
         self._plain = [struct.unpack_from("<d", raw, at)[0] for at in self._places]
         self._topic, self._rng, self._packed = topic, rng, packed_topic(self._kind)
 
-    def measured(self, stamp_ns: int) -> Any:
+    def mutate(self, stamp_ns: int) -> Any:
         """A mutated message, converted."""
         raw = bytearray(self._raw)
         if self._rng.random() < 0.02:
@@ -125,15 +125,15 @@ class Mutator:
 def _fill(message: Any, joints: int, values: Callable[[str, int], FloatArray]) -> None:
     """Set the numbers of each field ``name`` of a message to ``values(name, n)``."""
     for name, text in message.get_fields_and_field_types().items():
-        found = getattr(message, name)
+        value = getattr(message, name)
         if text == "double":
             setattr(message, name, float(values(name, 1)[0]))
         elif text.startswith("double["):
-            setattr(message, name, values(name, len(found)))
+            setattr(message, name, values(name, len(value)))
         elif text == "sequence<double>":
             setattr(message, name, values(name, joints).tolist())
-        elif hasattr(found, "get_fields_and_field_types"):
-            _fill(found, joints, values)
+        elif hasattr(value, "get_fields_and_field_types"):
+            _fill(value, joints, values)
 
 
 def _plain(name: str, n: int) -> FloatArray:
@@ -151,8 +151,8 @@ def _numbers(rng: np.random.Generator, n: int) -> list[float]:
     values[tame] = np.abs(0.1 * rng.normal(size=int(tame.sum())))
     special = rng.random(n) < rng.choice((0.0, 0.0, 0.05, 0.5))
     values[special] = rng.choice(_VALUES, int(special.sum()))
-    found: list[float] = values.tolist()
-    return found
+    numbers: list[float] = values.tolist()
+    return numbers
 
 
 def slip_topics() -> dict[str, Topic]:
@@ -211,20 +211,20 @@ def fuzz_slip(count: int, seed: int = 0) -> Findings:
         ]
         if k % 10 == 0:
             good += [PoseFix(SET_POSE, now_ns, origin, R), PoseFix("box_pose", now_ns + 1, origin, R)]
-        for given in good:
-            report, estimate = estimator.process(given)
+        for measurement in good:
+            report, estimate = estimator.process(measurement)
             watch.add(report)
-            requested = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.WAITING)
-            if not isinstance(given, YawRate) and report.outcome not in requested and estimator.started:
+            expected = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.WAITING)
+            if not isinstance(measurement, YawRate) and report.outcome not in expected and estimator.started:
                 faults.append(f"period {k}: a good measurement of {report.source} is {report.outcome.name}")
-            _look_at(estimate, local, k, faults)
+            _check_estimate(estimate, local, k, faults)
         for name, mutator in mutators.items():
-            given = mutator.measured(now_ns + int(rng.integers(2, _PERIOD_NS)))
-            if isinstance(given, Rejection):
-                counts[f"{name} {given.name}"] += 1
+            measurement = mutator.mutate(now_ns + int(rng.integers(2, _PERIOD_NS)))
+            if isinstance(measurement, Rejection):
+                counts[f"{name} {measurement.name}"] += 1
                 continue
             before = _newest(estimator)
-            report, estimate = estimator.process(given)
+            report, estimate = estimator.process(measurement)
             watch.add(report)
             reason = report.fault or report.outcome
             counts[f"{name} {reason.name}"] += 1
@@ -232,8 +232,8 @@ def fuzz_slip(count: int, seed: int = 0) -> Findings:
                 faults.append(f"period {k}: a message on {name} is invalid without a reason")
             if report.outcome is Outcome.INVALID and _newest(estimator) != before:
                 faults.append(f"period {k}: an invalid message on {name} changed the estimate")
-            _look_at(estimate, local, k, faults)
-        if k % _LOOK == 0:
+            _check_estimate(estimate, local, k, faults)
+        if k % _CHECK_PERIODS == 0:
             estimator_health(estimator, watch, 0.0, counts)
     if estimator.divergences:
         faults.append(f"the estimate diverged {estimator.divergences} times")
@@ -245,7 +245,7 @@ def _newest(estimator: SlipEstimator) -> bytes:
     return estimator.window.best[count - 1].tobytes() if estimator.started else b""
 
 
-def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, faults: list[str]) -> None:
+def _check_estimate(estimate: Estimate | None, local: LocalOdometry, period: int, faults: list[str]) -> None:
     """Add a fault for each message of the estimate that is not finite."""
     if estimate is None:
         return
@@ -264,10 +264,10 @@ def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, fault
 def _is_finite(message: Any) -> bool:
     """Whether all float64 of a message are finite, except for an unknown reserve."""
     for name, text in message.get_fields_and_field_types().items():
-        found = getattr(message, name)
-        if "double" in text and not name.endswith("thrust_reserve") and not np.isfinite(found).all():
+        value = getattr(message, name)
+        if "double" in text and not name.endswith("thrust_reserve") and not np.isfinite(value).all():
             return False
-        if hasattr(found, "get_fields_and_field_types") and not _is_finite(found):
+        if hasattr(value, "get_fields_and_field_types") and not _is_finite(value):
             return False
     return True
 
@@ -287,17 +287,17 @@ def fuzz_soil(count: int, seed: int = 0) -> Findings:
             Hydraulics(now_ns, 5e6, 5e6, 0.5, 0.5),
             MachineState(now_ns, twist, C, pose, slips, Motion.STRAIGHT, swing=0.0, swing_variance=1e-4),
         ]
-        bad = [mutator.measured(now_ns + int(rng.integers(1, _PERIOD_NS))) for mutator in mutators]
-        for given in (*good, *bad):
-            outputs = estimator.advance(given)
+        bad = [mutator.mutate(now_ns + int(rng.integers(1, _PERIOD_NS))) for mutator in mutators]
+        for soil_input in (*good, *bad):
+            outputs = estimator.advance(soil_input)
             published += len(outputs)
             for output in outputs:
                 if not _is_finite(soil_conversions.message_of(make, output, "base_link")):
                     faults.append(f"period {k}: {type(output).__name__} is not finite")
-        if k % _LOOK == 0:
+        if k % _CHECK_PERIODS == 0:
             soil_health(estimator, 0.0, counts)
             if not published:
-                faults.append(f"period {k}: nothing was published since the last look")
+                faults.append(f"period {k}: nothing was published since the last check")
             published = 0
     for (source, reason), n in estimator.tally.total.items():
         counts[f"{source} {reason}"] += n
@@ -313,11 +313,11 @@ def main() -> int:
     count = parser.parse_args().count
     found_any = False
     for name, fuzz in (("slip", fuzz_slip), ("soil", fuzz_soil)):
-        found = fuzz(count)
-        what = ", ".join(f"{text} {n}" for text, n in sorted(found.counts.items()))
+        findings = fuzz(count)
+        what = ", ".join(f"{text} {n}" for text, n in sorted(findings.counts.items()))
         print(f"{name} estimator, {count} messages of each topic: {what}")
-        print("\n".join(found.faults[:20]) or "nothing found", flush=True)
-        found_any |= bool(found.faults)
+        print("\n".join(findings.faults[:20]) or "nothing found", flush=True)
+        found_any |= bool(findings.faults)
     return 1 if found_any else 0
 
 

@@ -61,18 +61,18 @@ def carried(folder: Path) -> Reader:
         text = path.read_text(encoding="utf-8", errors="replace")
         output = folder / "bag"
         is_vehicle = "ros__parameters" not in text
-        with BagWriter(output) as made:
+        with BagWriter(output) as bag_writer:
             for k, m in enumerate(others):
                 if k == 0:
                     data = serialize(make("std_msgs/msg/String", data=text))
-                    made.write(_TEXTS[is_vehicle], "std_msgs/msg/String", data, m.log_time_ns)
-                made.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+                    bag_writer.write(_TEXTS[is_vehicle], "std_msgs/msg/String", data, m.log_time_ns)
+                bag_writer.write(m.topic, m.type_name, m.raw, m.log_time_ns)
         code = max(main([command, str(output)]) for command in ("info", "replay"))
         remove(output)
         return code
 
-    stated = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
-    return Reader([stated.encode(), vehicle_text(load_vehicle()).encode()], read)
+    parameters = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
+    return Reader([parameters.encode(), vehicle_text(load_vehicle()).encode()], read)
 
 
 def ros1(folder: Path) -> Reader:
@@ -119,7 +119,7 @@ def definition(folder: Path) -> Reader:
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1000, 0), "base_link")
     raw = bytes(store.serialize_cdr(_state(kinds[kind], header), kind))
 
-    def made(path: Path) -> Path:
+    def bag_of(path: Path) -> Path:
         file = folder / "defined.mcap"
         with file.open("wb") as stream:
             writer = Writer(stream)
@@ -132,7 +132,7 @@ def definition(folder: Path) -> Reader:
             writer.finish()  # type: ignore[no-untyped-call]
         return file
 
-    return Reader([_MSG, _IDL], importing(folder, _MAPPING, made), ".msg")
+    return Reader([_MSG, _IDL], importing(folder, _MAPPING, bag_of), ".msg")
 
 
 def _state(kind: type, header: object) -> object:

@@ -99,24 +99,24 @@ def metadata() -> Family:
         yield f"metadata={name}", partial(_with_text, text)
 
 
-def _set(names: tuple[Any, ...], value: Any, own: Any) -> None:
+def _set(names: tuple[Any, ...], value: Any, tree: Any) -> None:
     for name in names[:-1]:
-        own = own[name]
-    own[names[-1]] = value
+        tree = tree[name]
+    tree[names[-1]] = value
 
 
-def _drop(name: str, own: dict[str, Any]) -> None:
-    del own[name]
+def _drop(name: str, tree: dict[str, Any]) -> None:
+    del tree[name]
 
 
-def _repeat(names: tuple[str, ...], count: int, own: dict[str, Any]) -> None:
+def _repeat(names: tuple[str, ...], count: int, tree: dict[str, Any]) -> None:
     for name in names:
-        own[name] *= count
+        tree[name] *= count
 
 
-def _add_dotted(form: str, count: int, own: dict[str, Any]) -> None:
-    (path,) = own["relative_file_paths"]
-    own["relative_file_paths"] = [path, *("./" * k + path for k in range(min(count, 200))), form]
+def _add_dotted(form: str, count: int, tree: dict[str, Any]) -> None:
+    (path,) = tree["relative_file_paths"]
+    tree["relative_file_paths"] = [path, *("./" * k + path for k in range(min(count, 200))), form]
 
 
 def _bomb() -> bytes:
@@ -266,13 +266,13 @@ def _many(
     content: bytes = b"\0\1\0\0\1\0\0\0\0",
 ) -> None:
     text = b"string data\n" + b"#" * size
-    known = [
+    schema_ids = [
         writer.register_schema("std_msgs/msg/String" if k == 0 else f"a/msg/B{k}", "ros2msg", text)
         for k in range(schemas)
     ]
-    made = [writer.register_channel(f"/t{k}", "cdr", known[k % schemas]) for k in range(channels)]
+    channel_ids = [writer.register_channel(f"/t{k}", "cdr", schema_ids[k % schemas]) for k in range(channels)]
     for k in range(messages):
-        writer.add_message(made[k % channels], 10**18 + k, content, 10**18 + k)
+        writer.add_message(channel_ids[k % channels], 10**18 + k, content, 10**18 + k)
 
 
 def _text(writer: Writer, size: int) -> None:

@@ -80,10 +80,10 @@ def _work(name: str, files: int, cases: list[Path]) -> int:
             path.write_bytes(seed)
             ended = run_in_child(partial(reader.read, path), folder, LONGEST_S)
             if ended.code not in (ExitCode.DONE, ExitCode.FAILED):
-                print(f"seed {number} is refused, so that what is made of it shows nothing: {ended.err}")
+                print(f"seed {number} is refused, so files made from it test nothing: {ended.err}")
                 return 1
-        begun = [*reader.seeds, *reader.bombs]
-        contents = [case.read_bytes() for case in cases] or (hostile(begun, k) for k in range(files))
+        originals = [*reader.seeds, *reader.bombs]
+        contents = [case.read_bytes() for case in cases] or (hostile(originals, k) for k in range(files))
         refused, found, slowest, largest = 0, 0, 0.0, 0
         for number, content in enumerate(contents):
             path.write_bytes(content)

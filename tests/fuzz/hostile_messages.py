@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags with hostile messages: contents, stamps, types, missing topics, parameters and vehicles.
 
-Each family yields names, and functions that make the bag; ``hostile_recordings.py`` has the others.
+Each family yields names, and functions that make the bag; ``hostile_containers.py`` has the others.
 """
 
 import dataclasses
@@ -52,26 +52,26 @@ class Line(NamedTuple):
 
 @cache
 def good() -> tuple[Line, ...]:
-    """A short recording with all live topics: sensors, estimates, journal, lights, parameters."""
+    """A short recording with all live topics: sensors, estimates, reports, diagnostics, parameters."""
     with TemporaryDirectory(prefix="trackslip_hostile_") as folder:
         output = Path(folder) / "estimates"
         with redirect_stdout(io.StringIO()):
             main(["replay", str(_BAG), "--stop", str(LAST_S), "--output", str(output)])
-        found = []
+        lines = []
         for path in (_BAG, output):
             with open_bag(path) as bag:
                 stop_ns = bag.start_ns + round(LAST_S * 1e9)
-                found += [
+                lines += [
                     Line(m.topic, m.type_name, m.raw, m.log_time_ns)
                     for m in bag.messages(None, None, stop_ns)
                 ]
-    begin_ns = min(line.log_ns for line in found)
+    begin_ns = min(line.log_ns for line in lines)
     soil = parameters_text(to_flat(load_soil_parameters()), "soil_estimator")
-    found.append(_text("/soil_estimator/parameters", soil, begin_ns))
-    found = [line for k, line in enumerate(found) if not line.topic.startswith(_THINNED) or k % 7 == 0]
-    known = {line.topic for line in found}
-    if "/vehicle" not in known:
-        found.append(_text("/vehicle", vehicle_text(load_vehicle()), begin_ns))
+    lines.append(_text("/soil_estimator/parameters", soil, begin_ns))
+    lines = [line for k, line in enumerate(lines) if not line.topic.startswith(_THINNED) or k % 7 == 0]
+    topics_found = {line.topic for line in lines}
+    if "/vehicle" not in topics_found:
+        lines.append(_text("/vehicle", vehicle_text(load_vehicle()), begin_ns))
     for k in range(round(LAST_S)):
         values = [make("diagnostic_msgs/msg/KeyValue", key="rate", value=str(k))]
         status = make(
@@ -79,8 +79,8 @@ def good() -> tuple[Line, ...]:
         )
         stamped = header(begin_ns + k * _S, "")
         array = make(TOPICS[DIAGNOSTICS].type_name, header=stamped, status=[status])
-        found.append(Line("/diagnostics", array.__msgtype__, serialize(array), begin_ns + k * _S))
-    return tuple(sorted(found, key=lambda line: line.log_ns))
+        lines.append(Line("/diagnostics", array.__msgtype__, serialize(array), begin_ns + k * _S))
+    return tuple(sorted(lines, key=lambda line: line.log_ns))
 
 
 def _text(topic: str, text: str, log_ns: int) -> Line:
@@ -144,32 +144,28 @@ def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> N
 
     In 32 bits it may become infinite.
     """
-    if _is_of_float32(message):
+    if message.__msgtype__ == "sensor_msgs/msg/LaserScan":  # of float32
         with np.errstate(over="ignore"):
             value = float(np.float32(value))
     for field in dataclasses.fields(message):
-        name, held = f"{at}.{field.name}", getattr(message, field.name)
-        if dataclasses.is_dataclass(held) and field.name != "stamp":
-            _with_numbers(held, value, only, name)
-        elif isinstance(held, float) and only in ("", name):
+        name, old = f"{at}.{field.name}", getattr(message, field.name)
+        if dataclasses.is_dataclass(old) and field.name != "stamp":
+            _with_numbers(old, value, only, name)
+        elif isinstance(old, float) and only in ("", name):
             setattr(message, field.name, value)
-        elif isinstance(held, np.ndarray) and held.dtype.kind == "f" and only in ("", name):
+        elif isinstance(old, np.ndarray) and old.dtype.kind == "f" and only in ("", name):
             with np.errstate(over="ignore"):
-                setattr(message, field.name, np.full_like(held, value))
-
-
-def _is_of_float32(message: Any) -> bool:
-    return bool(message.__msgtype__ == "sensor_msgs/msg/LaserScan")
+                setattr(message, field.name, np.full_like(old, value))
 
 
 def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:
     """The valid recording with each ``every``-th message of a topic changed."""
-    lines, seen = [], 0
+    lines, number = [], 0
     for line in good():
         if line.topic == topic:
-            if seen % every == every // 2:
-                line = _changed_line(line, change, seen)
-            seen += 1
+            if number % every == every // 2:
+                line = _changed_line(line, change, number)
+            number += 1
         lines.append(line)
     return write(lines, folder)
 
@@ -204,10 +200,10 @@ def _set_numbers(value: float, only: str, message: Any, _: int) -> None:
 
 def _floats(message: Any, at: str = "") -> Iterator[str]:
     for field in dataclasses.fields(message):
-        name, held = f"{at}.{field.name}", getattr(message, field.name)
-        if dataclasses.is_dataclass(held) and field.name != "stamp":
-            yield from _floats(held, name)
-        elif isinstance(held, float) or (isinstance(held, np.ndarray) and held.dtype.kind == "f"):
+        name, value = f"{at}.{field.name}", getattr(message, field.name)
+        if dataclasses.is_dataclass(value) and field.name != "stamp":
+            yield from _floats(value, name)
+        elif isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
             yield name
 
 
@@ -231,24 +227,24 @@ _STAMPS: dict[str, Callable[[int, int, int], tuple[int, int]]] = {
 
 def stamps() -> Family:
     """Stamps of a topic, in one message of fifty or all; and of all topics together."""
-    for name, of in _STAMPS.items():
-        change = partial(_set_stamp, of)
+    for name, convert in _STAMPS.items():
+        change = partial(_set_stamp, convert)
         for topic in stamped_topics():
             for every in (1, 50):
                 yield f"stamps{topic}={name} each {every}", partial(_changed, topic, change, every)
         yield f"stamps={name}", partial(_changed_together, change)
 
 
-def _set_stamp(of: Callable[[int, int, int], tuple[int, int]], message: Any, k: int) -> None:
+def _set_stamp(convert: Callable[[int, int, int], tuple[int, int]], message: Any, k: int) -> None:
     stamp = message.header.stamp
-    sec, nanosec = of(int(stamp.sec), int(stamp.nanosec), k)
+    sec, nanosec = convert(int(stamp.sec), int(stamp.nanosec), k)
     stamp.sec, stamp.nanosec = max(-(2**31), min(sec, 2**31 - 1)), nanosec
 
 
 def _changed_together(change: Change, folder: Path) -> Path:
-    known = set(stamped_topics())
+    stamped = set(stamped_topics())
     lines = enumerate(good())
-    return write((_changed_line(m, change, k) if m.topic in known else m for k, m in lines), folder)
+    return write((_changed_line(m, change, k) if m.topic in stamped else m for k, m in lines), folder)
 
 
 def log_times() -> Family:
@@ -302,7 +298,7 @@ def sequences() -> Family:
         yield f"scan=angles {name}", partial(_changed, "/scan", partial(_angles, value), 1)
     texts = {"words": "x: y", "long": long_name, "steering": "\x1b[2J", "digits": "9" * 4000}
     for name, text in texts.items():
-        yield f"diagnostics={name}", partial(_changed, "/diagnostics", partial(_lights, text), 1)
+        yield f"diagnostics={name}", partial(_changed, "/diagnostics", partial(_statuses, text), 1)
 
 
 def _positions(count: int, message: Any, _: int) -> None:
@@ -334,7 +330,7 @@ def _angles(value: float, message: Any, _: int) -> None:
         message.angle_min = message.angle_increment = float(np.float32(value))
 
 
-def _lights(text: str, message: Any, _: int) -> None:
+def _statuses(text: str, message: Any, _: int) -> None:
     for status in message.status:
         status.name = status.message = status.hardware_id = text
         status.values = [make("diagnostic_msgs/msg/KeyValue", key=text, value=text)] * 50
@@ -361,8 +357,8 @@ def raw_bytes() -> Family:
 
 
 def _with_bytes(topic: str, variant: Callable[[bytes], bytes], every: int, folder: Path) -> Path:
-    own = [line for line in good() if line.topic == topic][::every]
-    chosen = set(map(id, own))
+    of_topic = [line for line in good() if line.topic == topic][::every]
+    chosen = set(map(id, of_topic))
     return write((m._replace(raw=variant(m.raw)) if id(m) in chosen else m for m in good()), folder)
 
 
@@ -380,10 +376,10 @@ def kinds() -> Family:
     others += [make("sensor_msgs/msg/LaserScan"), make("nav_msgs/msg/Odometry"), make("std_msgs/msg/Empty")]
     for topic in sorted({*(f"/{name}" for name in TOPICS), *topics(), "/reference_pose", "/tf_static"}):
         for other in others:
-            own = Line(topic, other.__msgtype__, serialize(other), begin_ns)
-            if topic in first() and _type(topic) == own.type_name:
+            message = Line(topic, other.__msgtype__, serialize(other), begin_ns)
+            if topic in first() and _type(topic) == message.type_name:
                 continue
-            yield f"kinds{topic}={own.type_name}", partial(_with_others, own)
+            yield f"kinds{topic}={message.type_name}", partial(_with_others, message)
 
 
 def _with_others(other: Line, folder: Path) -> Path:
@@ -427,8 +423,8 @@ def _written(lines: Callable[[], Iterable[Line]], folder: Path) -> Path:
 
 
 def _few(topic: str, count: int, folder: Path) -> Path:
-    own = [line for line in good() if line.topic == topic][:count]
-    return write(sorted([*own, *without(topic)], key=lambda line: line.log_ns), folder)
+    of_topic = [line for line in good() if line.topic == topic][:count]
+    return write(sorted([*of_topic, *without(topic)], key=lambda line: line.log_ns), folder)
 
 
 def _alone(topic: str, folder: Path) -> Path:
@@ -494,15 +490,15 @@ def parameters() -> Family:
         for value in values:
             yield (
                 f"parameters.{name}={value!r:.40}",
-                partial(_carrying, "/slip_estimator/parameters", _given(p, {name: value})),
+                partial(_carrying, "/slip_estimator/parameters", _parameters_with(p, {name: value})),
             )
-    yield "parameters=all low", partial(_carrying, "/slip_estimator/parameters", _given(p, low))
-    yield "parameters=all high", partial(_carrying, "/slip_estimator/parameters", _given(p, high))
+    yield "parameters=all low", partial(_carrying, "/slip_estimator/parameters", _parameters_with(p, low))
+    yield "parameters=all high", partial(_carrying, "/slip_estimator/parameters", _parameters_with(p, high))
     yield from _texts("/slip_estimator/parameters", text)
     yield from _texts("/soil_estimator/parameters", text.replace("slip_", "soil_"))
 
 
-def _given(p: SlipEstimatorParameters, values: dict[str, Any]) -> str:
+def _parameters_with(p: SlipEstimatorParameters, values: dict[str, Any]) -> str:
     return parameters_text({**to_flat(p), **values}, "slip_estimator")
 
 

@@ -52,7 +52,7 @@ class Reader:
     seeds: Sequence[bytes]  # valid files: none may be rejected
     read: Callable[[Path], int | None]
     suffix: str = ".yaml"
-    bombs: Sequence[bytes] = ()  # hostile files to begin with
+    bombs: Sequence[bytes] = ()  # hostile files that are mutated like the seeds
 
 
 def _config(pattern: str) -> list[bytes]:
@@ -63,9 +63,9 @@ def vehicle(_: Path) -> Reader:
     """A vehicle file, and its text on a topic of a bag."""
 
     def read(path: Path) -> None:
-        found = load_vehicle(str(path))
+        loaded = load_vehicle(str(path))
         load_slip_parameters({"vehicle": str(path)})
-        assert parse_vehicle(vehicle_text(found), "again") is not None
+        assert parse_vehicle(vehicle_text(loaded), "again") is not None
 
     return Reader(_config("vehicles/*.yaml"), read)
 
@@ -132,15 +132,15 @@ def plan(_: Path) -> Reader:
     p = load_slip_parameters()
 
     def read(path: Path) -> None:
-        found = read_plan(path)
-        shares = found.shares(p)
+        loaded = read_plan(path)
+        shares = loaded.shares(p)
         for share in (shares, np.zeros(shares.size), np.ones(shares.size)):
-            change_parameters(p, found.values(share))
+            change_parameters(p, loaded.values(share))
 
     return Reader(_config("tune.yaml"), read)
 
 
-def roles(folder: Path) -> Reader:
+def roles(_: Path) -> Reader:
     """The roles of a CAN bus."""
     p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     dbc = config_directory() / p.dbc_file
@@ -154,10 +154,13 @@ def roles(folder: Path) -> Reader:
 def dbc(_: Path) -> Reader:
     """The DBC of a CAN bus."""
     p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
-    own = load_frames(p)
-    assert own.codecs
+    assert load_frames(p).codecs
     contract = config_directory() / p.roles_file
-    return Reader(_config("*.dbc"), lambda path: bool(FrameSet(path, contract, p.vehicle)) - 1, ".dbc")
+
+    def read(path: Path) -> None:
+        FrameSet(path, contract, p.vehicle)
+
+    return Reader(_config("*.dbc"), read, ".dbc")
 
 
 def mapping(folder: Path) -> Reader:
@@ -266,15 +269,15 @@ def track(_: Path) -> Reader:
     """The track that the box localizer keeps, and the search area that follows from it."""
     p = load_parameters(BoxNodeParameters, BOX_NODE, BOX_FILES)
     headings = Headings(CERTAIN_WEIGHTS, SideEvidence())
-    begun = Track.from_pose(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
-    seed = track_text(LocalizerState(begun.predict(10**18 + 10**9, p), 10**18 + 2 * 10**9)).encode()
+    started = Track.from_pose(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
+    seed = track_text(LocalizerState(started.predict(10**18 + 10**9, p), 10**18 + 2 * 10**9)).encode()
 
     def read(path: Path) -> None:
         file = TrackFile(str(path))
-        kept = file.read()
-        if kept is None:
+        saved = file.read()
+        if saved is None:
             raise InputError(file.failure)
-        assert np.isfinite(kept.track.expectation(kept.scan_ns + 10**9, p).pose).all()
+        assert np.isfinite(saved.track.expectation(saved.scan_ns + 10**9, p).pose).all()
 
     return Reader([seed], read, ".json")
 
@@ -283,18 +286,18 @@ def journal(_: Path) -> Reader:
     """Scores of an interrupted search, and their use by the search."""
     score = Score(1.5, {"box_pose": 1.0}, {"box_pose": 3}, 0.1, math.nan, 2.0, -3.0)
     empty = Path("empty.jsonl")
-    with Journal(empty, (), ("a", "b")) as made:
+    with Journal(empty, (), ("a", "b")) as written:
         for k in range(4):
-            made.add(k % 2, (0.5 * k, 1.0), score)
+            written.add(k % 2, (0.5 * k, 1.0), score)
     seed = empty.read_bytes()
 
     def read(path: Path) -> None:
-        with Journal(path, (), ("a", "b")) as found:
+        with Journal(path, (), ("a", "b")) as reopened:
             for k in range(4):
-                if (k % 2, (0.5 * k, 1.0)) in found:
+                if (k % 2, (0.5 * k, 1.0)) in reopened:
                     for objective in ("likelihood", "pose", "position"):
-                        cost(objective, found[k % 2, (0.5 * k, 1.0)])
-            found.add(0, (9.0, 9.0), score)
+                        cost(objective, reopened[k % 2, (0.5 * k, 1.0)])
+            reopened.add(0, (9.0, 9.0), score)
 
     return Reader([seed], read, ".jsonl")
 
@@ -304,15 +307,15 @@ def cache(_: Path) -> Reader:
     path = Path("cache.jsonl")
     examples: dict[Any, Any] = {str: "sand", int: 3, float: 0.5}
     row = Row(*(examples.get(kind, (0.1, 0.9)) for kind in get_type_hints(Row).values()))
-    study, made = SlipStudy({}, ()), Cache(path, Row)
+    study, written = SlipStudy({}, ()), Cache(path, Row)
     for k in range(3):
-        made.add(str(k), row)
+        written.add(str(k), row)
     seed = path.read_bytes()
 
     def read(path: Path) -> None:
-        found = Cache(path, Row)
+        reopened = Cache(path, Row)
         for k in range(3):
-            piece = found.get(str(k))
+            piece = reopened.get(str(k))
             if piece is not None:
                 study.markdown([piece])
 

@@ -74,8 +74,8 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="(%(default)s)")
     parser.add_argument("names", nargs="*", metavar="REGEX", help="bags whose names it matches, all of them")
     args = parser.parse_args()
-    known = made_by_name()
-    chosen = [name for name in known if any(re.search(one, name) for one in args.names)] or drawn(
+    bags = made_by_name()
+    chosen = [name for name in bags if any(re.search(one, name) for one in args.names)] or drawn(
         args.bags, args.seed
     )
     commands = args.command or list(COMMANDS)
@@ -91,7 +91,7 @@ def main() -> int:
     slowest, largest = max(runs, key=lambda run: run.seconds), max(runs, key=lambda run: run.megabytes)
     wrong = [run for run in runs if run.problem]
     print(
-        f"{len(chosen)} bags of {len(known)}, {len(runs)} runs in {time.monotonic() - began:.0f} s; "
+        f"{len(chosen)} bags of {len(bags)}, {len(runs)} runs in {time.monotonic() - began:.0f} s; "
         f"{len(wrong)} found in {len({run.bag for run in wrong})} bags; "
         f"slowest {slowest.seconds:.0f} s ({slowest.command} of '{slowest.bag}'), "
         f"largest {largest.megabytes} MB ({largest.command} of '{largest.bag}')"

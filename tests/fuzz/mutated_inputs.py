@@ -34,7 +34,7 @@ from trackslip_drivers.protocols.nmea_stream import NmeaStream
 COUNTS = {"nmea": 1_000_000, "ubx": 1_000_000, "dbc": 100_000}
 MOST_MB = 1500
 _MS = 1_000_000
-_LOOK = 1000  # inputs between two checks with a valid fix
+_CHECK_INPUTS = 1000  # inputs between two checks with a valid fix
 _MOST_FINDINGS = 10
 _FIELDS = (
     *("", "0", "-0", "1e9", "nan", "inf", "-", ".", "9" * 40, "0x10", "1_0", "١٢", "4806.0", "60.0", "99"),
@@ -44,7 +44,7 @@ _NUMBERS = (
     *("0", "-1", "1", "8", "63", "64", "65", "255", "1785", "1E308", "1e-308", "0.0", "-0", "2147483648"),
     *("4294967295", "18446744073709551615", "9" * 300, "nan", "m0", "M", "@", "|"),
 )
-_AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
+AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
 _SENTENCES = (
     "GNHDT,123.0000,T",
     *(
@@ -57,6 +57,12 @@ _SENTENCES = (
 )
 _HEADING = {"gnssFixOK": 1, "relPosValid": 1, "carrSoln": 2, "isMoving": 1, "relPosHeadingValid": 1}
 _FIX = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
+UBX_MESSAGES = (
+    UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **_FIX),
+    UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
+    UBXMessage("NAV", "NAV-COV", GET, iTOW=20_000, posCovValid=1, posCovNN=1e-4, posCovEE=1e-4),
+    UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=20_000, relPosHeading=30.0, **_HEADING),
+)
 
 
 class Receiver:
@@ -75,14 +81,14 @@ class Receiver:
             assert all(math.isfinite(value) for value in sample[1:3]), sample
         assert self._stream.bytes_held <= LONGEST_MESSAGE
         self._count += 1
-        if self._count % _LOOK == 0:
-            self._look()
+        if self._count % _CHECK_INPUTS == 0:
+            self._check_valid_epoch()
 
-    def _look(self) -> None:
-        """Check that a valid epoch is read after a silence."""
+    def _check_valid_epoch(self) -> None:
+        """Assert that a valid epoch is read after a silence."""
         self._now_ns += 5000 * _MS
         self._stream.flush()
-        later = _AT._replace(time_ns=90_000_000_000 + self._now_ns % 10**12)
+        later = AT._replace(time_ns=90_000_000_000 + self._now_ns % 10**12)
         output = b"\n" + nmea_sentences.gga(later) + nmea_sentences.gst(later)
         samples = self._stream.feed(output, self._now_ns) + self._stream.flush()
         assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples), samples
@@ -91,19 +97,13 @@ class Receiver:
 def nmea() -> Receiver:
     """A receiver of all supported NMEA sentences."""
     encoders = (nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.pashr)
-    seeds = [encode(_AT)[1:].partition(b"*")[0] for encode in encoders]
+    seeds = [encode(AT)[1:].partition(b"*")[0] for encode in encoders]
     return Receiver([*seeds, *(text.encode() for text in _SENTENCES)], _mutated_sentence)
 
 
 def ubx() -> Receiver:
     """A receiver of all supported UBX messages, and one that is not supported."""
-    messages = (
-        UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **_FIX),
-        UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
-        UBXMessage("NAV", "NAV-COV", GET, iTOW=20_000, posCovValid=1, posCovNN=1e-4, posCovEE=1e-4),
-        UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=20_000, relPosHeading=30.0, **_HEADING),
-        UBXMessage("MON", "MON-VER", GET),
-    )
+    messages = (*UBX_MESSAGES, UBXMessage("MON", "MON-VER", GET))
     return Receiver([message.serialize()[2:-2] for message in messages], _mutated_message)
 
 

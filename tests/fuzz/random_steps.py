@@ -86,14 +86,14 @@ def episode(number: int, steps: int = STEPS) -> Findings:
     faults, results = list[str](), list[Records]()
     for first in range(0, len(arrivals), _PART):
         part = arrivals[first : first + _PART]
-        found = live.process_records(part)
-        results.append(found)
-        outcomes += np.bincount(found["outcome"], minlength=len(Outcome))
+        result = live.process_records(part)
+        results.append(result)
+        outcomes += np.bincount(result["outcome"], minlength=len(Outcome))
         where = f"episode {number}, arrivals {first} to {first + len(part)}"
         states = live.window.best[max(live.window.count - _PART, 0) : live.window.count]
         if live.started and len(states):
             least = min(least, _least_eigenvalue(states, int(live.config["size"][0]), where, faults))
-        if not _all_finite(found["estimate"][found["published"]]):
+        if not _all_finite(result["estimate"][result["published"]]):
             faults.append(f"{where}: published numbers are not finite")
         if live.divergences:
             faults.append(f"{where}: the estimate diverged")
@@ -118,9 +118,9 @@ def _least_eigenvalue(states: Records, size: int, where: str, faults: list[str])
         faults.append(f"{where}: a state is not finite")
         return 0.0
     deviations = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-    over = np.where(deviations > 0.0, deviations, 1.0)
+    divisors = np.where(deviations > 0.0, deviations, 1.0)
     least = 0.0
-    for covariance in (P, P / (over[:, :, None] * over[:, None, :])):
+    for covariance in (P, P / (divisors[:, :, None] * divisors[:, None, :])):
         values = np.linalg.eigvalsh(covariance)
         least = min(least, float((values[:, 0] / values[:, -1]).min()))
     return least
@@ -153,7 +153,7 @@ def random_arrivals(
         VELOCITY: list(p.velocities()),
         SLIPS: [name for name in p.slip_sources if name],
     }
-    sources = [(kind, estimator.sources[name]) for kind, own in named.items() for name in own]
+    sources = [(kind, estimator.sources[name]) for kind, names in named.items() for name in names]
     chosen = rng.integers(-len(sources), len(sources), steps)  # half are sprockets
     kinds = np.array([SPROCKETS if k < 0 else sources[k][0] for k in chosen])
     kinds[0] = SPROCKETS
@@ -164,9 +164,9 @@ def random_arrivals(
     )
     m["stamp_ns"] = np.cumsum(np.round(dt * 1e9)).astype(np.int64)
     speeds = _walk(rng, steps, 2)
-    turned = np.cumsum(speeds * dt[:, None], axis=0)
+    angles = np.cumsum(speeds * dt[:, None], axis=0)
     m["left_speed"], m["right_speed"] = speeds.T
-    m["left_angle"], m["right_angle"] = turned.T
+    m["left_angle"], m["right_angle"] = angles.T
     truth = _poses(speeds, dt, p)
     variance = 10.0 ** rng.uniform(-12.0, 12.0, (steps, 3))
     tame = rng.random(steps) < 0.5
@@ -218,17 +218,17 @@ def _set_others(
     """Set the values of all measurements that are no pose."""
     steps, vehicle = len(m), p.vehicle.kinematics
     rates = 0.6 * vehicle.rolling_radius * (speeds[:, 1] - speeds[:, 0]) / vehicle.tread
-    of = m["kind"]
+    kind = m["kind"]
     error = np.minimum(np.sqrt(m["noise"][:, 0, 0]), 1.0) * rng.normal(size=steps)
-    m["value"][of == YAW_RATE] = 0.0
-    m["value"][of == YAW_RATE, 0] = (rates + error)[of == YAW_RATE]
-    m["value"][of == HEADING, 0] = (truth[:, 2] + error)[of == HEADING]
-    m["value"][of == ON_SWING, 0] = error[of == ON_SWING]
+    m["value"][kind == YAW_RATE] = 0.0
+    m["value"][kind == YAW_RATE, 0] = (rates + error)[kind == YAW_RATE]
+    m["value"][kind == HEADING, 0] = (truth[:, 2] + error)[kind == HEADING]
+    m["value"][kind == ON_SWING, 0] = error[kind == ON_SWING]
     v = 0.95 * vehicle.rolling_radius * speeds.mean(axis=1)
     velocities = np.column_stack((v * np.cos(truth[:, 2]) + error, v * np.sin(truth[:, 2]) - error))
-    m["value"][of == VELOCITY, :2] = velocities[of == VELOCITY]
-    m["value"][of == SLIPS] = (0.05 + error)[of == SLIPS, None]
-    odometry = of == ODOMETRY
+    m["value"][kind == VELOCITY, :2] = velocities[kind == VELOCITY]
+    m["value"][kind == SLIPS] = (0.05 + error)[kind == SLIPS, None]
+    odometry = kind == ODOMETRY
     m["value"][odometry, :2], m["value"][odometry, 2] = truth[odometry, :2], 0.0
     m["turn"][:, 2], m["turn"][:, 3] = np.sin(truth[:, 2] / 2.0), np.cos(truth[:, 2] / 2.0)
     m["noise"][odometry, :2] = np.abs(m["noise"][odometry, :2])
@@ -248,12 +248,12 @@ def main() -> int:
     steps, least = 0, 0.0
     outcomes, faults = np.zeros(len(Outcome), np.int64), 0
     with ProcessPoolExecutor() as pool:
-        for found in pool.map(episode, range(-(-requested // STEPS)), chunksize=8):
-            steps, outcomes, least = steps + found.steps, outcomes + found.outcomes, min(least, found.least)
-            for fault in found.faults[: max(_SHOWN - faults, 0)]:
+        for new in pool.map(episode, range(-(-requested // STEPS)), chunksize=8):
+            steps, outcomes, least = steps + new.steps, outcomes + new.outcomes, min(least, new.least)
+            for fault in new.faults[: max(_SHOWN - faults, 0)]:
                 print(f"FOUND {fault}", flush=True)
-            faults += len(found.faults)
-            if steps % _REPORTED < found.steps:
+            faults += len(new.faults)
+            if steps % _REPORTED < new.steps:
                 print(f"{steps} steps, {faults} faults", file=sys.stderr, flush=True)
     counts = ", ".join(f"{o.name.lower()} {n}" for o, n in zip(Outcome, outcomes, strict=True) if n)
     print(f"{steps} random steps, least eigenvalue {least:.1e} of the largest: {counts}")

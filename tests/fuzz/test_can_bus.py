@@ -42,10 +42,10 @@ pieces = st.lists(st.tuples(silences, identifiers, payloads, st.booleans()), max
 @example(EXAMPLE)
 def test_good_frames_are_decoded_after_any_frames(conversation: list[Piece]) -> None:
     decoder, can, now_ns = FrameDecoder(FRAMES, Tally()), ExcavatorCan(P, FRAMES, Tally()), 0
-    for silence, identifier, payload, is_sealed in conversation:
+    for silence, identifier, payload, has_valid_checksum in conversation:
         now_ns += MS * silence
         codec = FRAMES.find_codec(identifier)
-        if is_sealed and codec is not None and len(payload) == codec.length:
+        if has_valid_checksum and codec is not None and len(payload) == codec.length:
             payload = codec.replace_checksum(identifier, payload)
         decoder.decode(identifier, payload, now_ns)
         for sample in can.receive(identifier, payload, now_ns):

@@ -28,9 +28,9 @@ def test_hostile_file_is_written(name: str, made: Made, tmp_path: Path) -> None:
     ],
 )
 def test_message_of_numbers_that_its_fields_cannot_hold_is_written(pattern: str, tmp_path: Path) -> None:
-    made = [made for name, made in hostile_recordings.made_by_name().items() if re.search(pattern, name)]
-    assert made
-    for k, make in enumerate(made):
+    makers = [made for name, made in hostile_recordings.made_by_name().items() if re.search(pattern, name)]
+    assert makers
+    for k, make in enumerate(makers):
         (tmp_path / str(k)).mkdir()
         assert make(tmp_path / str(k)).is_dir()
 

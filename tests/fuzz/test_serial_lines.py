@@ -11,8 +11,9 @@ from fixtures.driver_defaults import LAYOUT, NMEA, PLS
 from fixtures.heading_sentences import hdt
 from hypothesis import example, given
 from hypothesis import strategies as st
-from pyubx2 import GET, UBXMessage, calc_checksum
+from pyubx2 import calc_checksum
 
+from mutated_inputs import AT, UBX_MESSAGES
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols import sick_commands as commands
@@ -108,8 +109,8 @@ def start_streaming(session: SickSession, now_ns: int) -> int:
         if session.phase is Phase.STREAMING:
             return now_ns
         now_ns += 100 * MS  # far above the answer times: time-outs pass quickly
-        asked = session.step(now_ns).write
-        session.receive(bytes((Control.ACK.value,)) + MODE_OK if asked else b"", now_ns)
+        command = session.step(now_ns).write
+        session.receive(bytes((Control.ACK.value,)) + MODE_OK if command else b"", now_ns)
     raise AssertionError(f"still {session.phase.value}")
 
 
@@ -160,7 +161,6 @@ def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], s
     assert any(sample.angular_velocity == last for sample in samples)
 
 
-AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
 _ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
     *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, hdt, nmea_sentences.pashr),
 )
@@ -194,15 +194,7 @@ def test_good_fix_after_any_sentences_is_found(sent: list[bytes]) -> None:
     assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples)
 
 
-_FIELDS = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
-_HEADING = {"gnssFixOK": 1, "relPosValid": 1, "carrSoln": 2, "isMoving": 1, "relPosHeadingValid": 1}
-MESSAGES = (
-    UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **_FIELDS),
-    UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
-    UBXMessage("NAV", "NAV-COV", GET, iTOW=20_000, posCovValid=1, posCovNN=1e-4, posCovEE=1e-4),
-    UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=20_000, relPosHeading=30.0, **_HEADING),
-)
-PAYLOADS = [message.payload for message in MESSAGES]
+PAYLOADS = [message.payload for message in UBX_MESSAGES]
 NAMES = (b"\x01\x07", b"\x01\x14", b"\x01\x36", b"\x01\x3c", b"\x02\x15")
 ubx = st.lists(
     st.tuples(st.integers(0, len(NAMES)), st.one_of(st.sampled_from(PAYLOADS), st.binary(max_size=120))),

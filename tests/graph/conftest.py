@@ -22,7 +22,7 @@ _DOMAINS = range(1, 102)
 _PARTICIPANTS = 20  # more than any graph of the tests has
 
 
-def _enter() -> None:
+def _source_setup() -> None:
     """Set the environment of ``make test`` for a plain ``python -m pytest``."""
     script = '. "$0" && exec env -0'
     environment = ROOT / ".venv" / "trackslip.sh"
@@ -33,7 +33,7 @@ def _enter() -> None:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
-_enter()
+_source_setup()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -64,7 +64,7 @@ class Fragile(TrackslipNode[FragileParameters]):
 
     def _fail(self) -> None:
         if self.fails:
-            raise RuntimeError("as the test wants it")
+            raise RuntimeError("requested by the test")
 
 
 if __name__ == "__main__":

@@ -16,18 +16,18 @@ from trackslip_drivers.transports.can_bus import CanBus
 
 @pytest.fixture
 def machine(can):
-    """An emulated machine that sends its frames in real time until the test ends."""
+    """CAN parameters of an emulated machine that sends its frames in real time until the test ends."""
     stopping = threading.Event()
     bus = CanBus("udp_multicast", MULTICAST, {"port": can["can_port"], "hop_limit": 0})  # stays on this host
 
-    def live():
+    def send_frames():
         begin_ns = time.time_ns()
         for sent in unseen_bus.frames(begin_ns, begin_ns + 600 * 1_000_000_000):
             if stopping.wait(max(sent.stamp_ns - time.time_ns(), 0) * 1e-9):
                 return
             bus.write((sent.arbitration_id, sent.data))
 
-    thread = threading.Thread(target=live)
+    thread = threading.Thread(target=send_frames)
     thread.start()
     yield can
     stopping.set()
@@ -60,7 +60,7 @@ def test_unknown_machine_is_read_by_its_dbc_and_roles(real_time, programs, obser
     assert reported("frames without a role") > 10
 
 
-def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs, observer):
+def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs):
     dbc, roles = unseen_bus.write(programs.folder, dbc=unseen_bus.DBC.replace('"bar"', '"at"'))
     program = programs.node("can_driver", dbc_file=str(dbc), roles_file=str(roles))
     assert program.wait() == 2

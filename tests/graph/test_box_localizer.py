@@ -98,7 +98,7 @@ def test_ambiguous_object_gives_no_pose_before_odometry_arrives(programs, observ
             sent.header.stamp.sec, sent.header.stamp.nanosec = int(stamp), int(stamp % 1.0 * 1e9)
             if sent is message:
                 scans.publish(sent)
-            elif is_located:
+            elif has_odometry:
                 sent.pose.pose.position.x, sent.pose.pose.position.y = 3.1, 0.9
                 sent.pose.covariance = (0.01 * np.eye(6)).ravel()
                 odometry.publish(sent)
@@ -107,15 +107,15 @@ def test_ambiguous_object_gives_no_pose_before_odometry_arrives(programs, observ
         send_scan()
         return any(health.message.startswith("box not certain") for health in healths)
 
-    def is_found():
+    def has_pose():
         send_scan()
         return bool(poses)
 
-    is_located = False
+    has_odometry = False
     observer.wait(is_uncertain, "a report that nothing is certain")
     assert not poses
-    is_located = True
-    observer.wait(is_found, "a pose")
+    has_odometry = True
+    observer.wait(has_pose, "a pose")
     assert (poses[0].pose.pose.position.x, poses[0].pose.pose.position.y) == pytest.approx(
         (3.0, 1.0), abs=0.2
     )

@@ -13,11 +13,11 @@ from std_srvs.srv import Trigger
 from trackslip_common.nodes.messages import topic_class
 
 SCRIPT = str(Path(__file__).with_name("fragile.py"))
-CAUSE = "RuntimeError: as the test wants it (fragile.py:"
+CAUSE = "RuntimeError: requested by the test (fragile.py:"
 NEVER = 1000.0  # s
 
 
-class Machine:
+class FragileNode:
     """The fragile node and the test's connections to it."""
 
     def __init__(self, programs, observer, duration=NEVER, fails=False, autostart=True):
@@ -41,8 +41,8 @@ class Machine:
         return [values for _, message, values in self.entries("fragile") if message == "running"]
 
     def set(self, **values):
-        (found,) = self._observer.set_parameters("fragile", **values)
-        assert found.successful, found.reason
+        (result,) = self._observer.set_parameters("fragile", **values)
+        assert result.successful, result.reason
 
     def scan_until(self, condition, what):
         def publish_and_look():
@@ -53,60 +53,58 @@ class Machine:
 
 
 def test_node_continues_after_exceptions_in_callbacks_and_reports_them(programs, observer):
-    machine = Machine(programs, observer)
-    machine.set(fails=True)
+    node = FragileNode(programs, observer)
+    node.set(fails=True)
     answer = observer.ask(Trigger, "fragile/reset", Trigger.Request())
     assert not answer.success
     assert CAUSE in answer.message
     names = {f"failed: {name}" for name in ("scan", "timer on_timer", "~/reset", "health")}
-    machine.scan_until(
-        lambda: any(names <= values.keys() for *_, values in machine.entries("fragile: callbacks")), "all"
+    node.scan_until(
+        lambda: any(names <= values.keys() for *_, values in node.entries("fragile: callbacks")), "all"
     )
-    level, message, values = machine.entries("fragile: callbacks")[-1]
+    level, message, values = node.entries("fragile: callbacks")[-1]
     assert level == DiagnosticStatus.ERROR
     assert CAUSE in message
     assert CAUSE in values["last failure"]
     assert "age of it (s)" in values
-    machine.set(fails=False)
-    machine.healths.clear()
-    machine.scan_until(
-        lambda: any(int(v["scans"]) > 0 for v in machine.running()), "scans to be handled again"
-    )
-    assert machine.program.end()[0] == 0
-    lines = machine.program.stderr.splitlines()
+    node.set(fails=False)
+    node.healths.clear()
+    node.scan_until(lambda: any(int(v["scans"]) > 0 for v in node.running()), "scans to be handled again")
+    assert node.program.end()[0] == 0
+    lines = node.program.stderr.splitlines()
     assert len([line for line in lines if CAUSE in line]) == 4  # each cause once
-    assert "Traceback" not in machine.program.stderr
+    assert "Traceback" not in node.program.stderr
 
 
 def test_uninterrupted_exceptions_end_the_node_with_one_line(programs, observer):
-    machine = Machine(programs, observer, duration=1.0, fails=True)
-    assert machine.program.wait() == 1
-    last = machine.program.stderr.splitlines()[-1]
+    node = FragileNode(programs, observer, duration=1.0, fails=True)
+    assert node.program.wait() == 1
+    last = node.program.stderr.splitlines()[-1]
     assert last.startswith("fragile: only failures; ")
     assert CAUSE in last
-    assert "Traceback" not in machine.program.stderr
+    assert "Traceback" not in node.program.stderr
 
 
 def test_message_that_cannot_be_decoded_does_not_end_the_node(programs, observer):
-    machine = Machine(programs, observer)
+    node = FragileNode(programs, observer)
     message = topic_class("scan")()
     message.header.frame_id = "XXXX"
-    machine.scans.publish(serialize_message(message).replace(b"XXXX", b"\xff\xfe\xff\xfe"))
-    machine.scan_until(lambda: any(int(v["scans"]) > 0 for v in machine.running()), "the scans after it")
-    assert machine.program.end()[0] == 0
+    node.scans.publish(serialize_message(message).replace(b"XXXX", b"\xff\xfe\xff\xfe"))
+    node.scan_until(lambda: any(int(v["scans"]) > 0 for v in node.running()), "the scans after it")
+    assert node.program.end()[0] == 0
 
 
 @pytest.mark.parametrize("before", [(), ("activate", "deactivate")], ids=["configured", "deactivated"])
 def test_parameters_set_while_inactive_reach_the_core(programs, observer, before):
-    machine = Machine(programs, observer, autostart=False)
+    node = FragileNode(programs, observer, autostart=False)
     for transition in ("configure", *before):
         assert observer.change("fragile", transition)
-    machine.set(fails=True)
-    machine.set(fails=False)  # back to the old value: no reload
-    machine.set(fails=True)
+    node.set(fails=True)
+    node.set(fails=False)  # back to the old value: no reload
+    node.set(fails=True)
     assert observer.change("fragile", "activate")
-    observer.wait(lambda: machine.entries("fragile: callbacks"), "the failures that the parameter asks for")
-    machine.set(fails=False)
-    machine.healths.clear()
-    observer.wait(machine.running, "the node to run")
-    assert machine.running()[-1]["reloads"] == "[{'fails': True}, {'fails': False}]"
+    observer.wait(lambda: node.entries("fragile: callbacks"), "the failures that the parameter asks for")
+    node.set(fails=False)
+    node.healths.clear()
+    observer.wait(node.running, "the node to run")
+    assert node.running()[-1]["reloads"] == "[{'fails': True}, {'fails': False}]"

@@ -36,7 +36,7 @@ def look_into(domain):
     rclpy.init(context=context, domain_id=int(domain))
     return rclpy.create_node("stranger", context=context, enable_rosout=False)
 
-def found(node):
+def visible(node):
     topics = (name for name, _ in node.get_topic_names_and_types())
     return "seen" if node.count_publishers("sprockets") else sorted({{*node.get_node_names(), *topics}})
 
@@ -44,7 +44,7 @@ nodes = [look_into(os.environ[name]) for name in ("ROS_DOMAIN_ID", "SECOND_DOMAI
 give_up = time.monotonic() + {seconds}
 while not all(node.count_publishers("sprockets") for node in nodes) and time.monotonic() < give_up:
     time.sleep(0.05)
-print(*map(found, nodes))
+print(*map(visible, nodes))
 """
 NOTHING = "['/parameter_events', 'stranger']"  # nothing but itself
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"

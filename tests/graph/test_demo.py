@@ -37,9 +37,9 @@ def wait_for_drive(observer):
     observer.wait(lambda: len(sprockets) > 100, "the drive")
 
 
-def ends_at_once(programs, program, number=signal.SIGINT):
-    """Assert that the demo ends on the signal quietly, and that all its processes end by themselves."""
-    code, _ = program.end(number)
+def assert_ends_quietly(programs, program):
+    """Assert that the demo ends on Ctrl-C quietly, and that all its processes end by themselves."""
+    code, _ = program.end(signal.SIGINT)
     assert code == 130
     assert "Traceback" not in program.stderr
     assert set(program.stderr.splitlines()) <= {"interrupted"}
@@ -139,7 +139,7 @@ def test_demo_survives_a_taken_port_a_killed_page_and_a_second_ctrl_c(programs, 
         os.kill(page, signal.SIGKILL)
         wait_for_drive(observer)
         program.process.send_signal(signal.SIGINT)
-        ends_at_once(programs, program)
+        assert_ends_quietly(programs, program)
     with open_bag(programs.folder / "demo" / "bag") as bag:
         assert not bag.damage
 
@@ -149,7 +149,7 @@ def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
     program = demo(programs, "--duration", "60")
     wait_for_drive(observer)
     assert len(programs.alive()) == 2 + NODES  # demo and live page
-    ends_at_once(programs, program)
+    assert_ends_quietly(programs, program)
     with open_bag(programs.folder / "demo" / "bag") as bag:
         assert not bag.damage
         assert bag.topics["/sprockets"].count > 100
@@ -161,14 +161,14 @@ def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
 def test_ctrl_c_while_the_demo_loads(programs, library):
     program = demo(programs)
     program.until(lambda: program.has_loaded(library), f"the demo to load {library}")
-    ends_at_once(programs, program)
+    assert_ends_quietly(programs, program)
 
 
 @pytest.mark.parametrize("log", ["emulator.log", "record.log"])
 def test_ctrl_c_before_the_nodes_are_up(programs, log):
     program = demo(programs)
     program.until((programs.folder / "demo" / log).exists, f"{log} to be there")
-    ends_at_once(programs, program)
+    assert_ends_quietly(programs, program)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)

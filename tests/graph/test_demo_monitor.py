@@ -26,12 +26,12 @@ def missing_of_sprockets(monitor, until):
     give_up = time.monotonic() + PATIENCE
     while True:
         monitor.spin_for(0.05)
-        found = {
+        missing = {
             end for end in monitor.missing_endpoints({"can_driver", "slip_estimator"}) if "sprockets" in end
         }
-        if until(found):
-            return found
-        assert time.monotonic() < give_up, found
+        if until(missing):
+            return missing
+        assert time.monotonic() < give_up, missing
 
 
 def test_demo_waits_until_the_recorder_receives(domain, monkeypatch):
@@ -44,7 +44,7 @@ def test_demo_waits_until_the_recorder_receives(domain, monkeypatch):
         for node in nodes[1:]:
             node.create_subscription(kind, "sprockets", print, subscriber_qos("sprockets"))
         only = {"sprockets: record"}
-        assert missing_of_sprockets(monitor, lambda found: found == only) == only
+        assert missing_of_sprockets(monitor, lambda missing: missing == only) == only
         health = nodes[2].create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def report(publishers):
@@ -58,7 +58,7 @@ def test_demo_waits_until_the_recorder_receives(domain, monkeypatch):
         monitor.spin_for(0.3)
         assert missing_of_sprockets(monitor, bool) == only
         report("1")
-        assert missing_of_sprockets(monitor, lambda found: not found) == set()
+        assert missing_of_sprockets(monitor, lambda missing: not missing) == set()
         for node in (*nodes, monitor):
             node.destroy_node()
     finally:
@@ -68,42 +68,42 @@ def test_demo_waits_until_the_recorder_receives(domain, monkeypatch):
 class ForgetfulEmulator:
     """A node whose answer to the first request is lost, with or without that request being executed."""
 
-    def __init__(self, does_the_first):
-        self.asked = []
-        self._needed, self._state = (1 if does_the_first else 2), State(id=State.PRIMARY_STATE_UNCONFIGURED)
+    def __init__(self, executes_first):
+        self.requests = []
+        self._needed, self._state = (1 if executes_first else 2), State(id=State.PRIMARY_STATE_UNCONFIGURED)
         self.node = rclpy.create_node("emulator")
         self.node.create_service(GetState, "emulator/get_state", self._on_state)
         service = self.node.create_service(ChangeState, "emulator/change_state", self._on_change)
         send = service.send_response
-        service.send_response = lambda *answer: send(*answer) if len(self.asked) > 1 else None
+        service.send_response = lambda *answer: send(*answer) if len(self.requests) > 1 else None
 
     def _on_state(self, _, response):
         response.current_state = self._state
         return response
 
     def _on_change(self, request, response):
-        self.asked.append(request.transition.id)
-        if len(self.asked) >= self._needed:
+        self.requests.append(request.transition.id)
+        if len(self.requests) >= self._needed:
             self._state = State(id=State.PRIMARY_STATE_INACTIVE)
         response.success = True
         return response
 
 
-@pytest.mark.parametrize("does_the_first", [True, False], ids=["done", "not done"])
-def test_lost_answer_of_a_lifecycle_node_is_requested_again(domain, monkeypatch, does_the_first):
+@pytest.mark.parametrize("executes_first", [True, False], ids=["done", "not done"])
+def test_lost_answer_of_a_lifecycle_node_is_requested_again(domain, monkeypatch, executes_first):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setattr(remote_lifecycle, "_ANSWER_TIMEOUT", 0.5)
     join_graph()
     executor = SingleThreadedExecutor()
     spinning = threading.Thread(target=executor.spin)
     try:
-        monitor, emulator = DemoMonitor(), ForgetfulEmulator(does_the_first)
+        monitor, emulator = DemoMonitor(), ForgetfulEmulator(executes_first)
         executor.add_node(emulator.node)
         spinning.start()
         give_up = time.monotonic() + PATIENCE
         while not monitor.configure_emulator(0.1):
-            assert time.monotonic() < give_up, emulator.asked
-        assert emulator.asked == [Transition.TRANSITION_CONFIGURE] * (1 if does_the_first else 2)
+            assert time.monotonic() < give_up, emulator.requests
+        assert emulator.requests == [Transition.TRANSITION_CONFIGURE] * (1 if executes_first else 2)
     finally:
         executor.shutdown()
         spinning.join()

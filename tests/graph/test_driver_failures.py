@@ -73,13 +73,13 @@ def test_driver_continues_after_an_exception_in_decoding_and_reports_it(driver):
 
 def messages(driver: FragileDriver, seconds: float) -> list[str]:
     """Successive distinct messages of the driver's health."""
-    found = [""]
+    texts = [""]
     give_up = time.monotonic() + seconds
     while time.monotonic() < give_up:
         (entry,) = driver.health()
-        found += [entry.message] * (entry.message != found[-1])
+        texts += [entry.message] * (entry.message != texts[-1])
         time.sleep(0.01)
-    return found[1:]
+    return texts[1:]
 
 
 def test_reopened_silent_port_is_reported_as_silent(domain, monkeypatch):
@@ -87,10 +87,10 @@ def test_reopened_silent_port_is_reported_as_silent(domain, monkeypatch):
     monkeypatch.setattr(FragileDriver, "period", 0.02)
     monkeypatch.setattr(FragileDriver, "silence", 0.4)
     with started(FragileDriver, domain) as node:
-        found, where = messages(node, 1.5), node.link_name()
+        texts, where = messages(node, 1.5), node.link_name()
         assert node._link.state().openings > 1
-    assert found[-1] == f"{where}: no bytes; check power and port"
-    assert sum("no data yet" in text for text in found) == 1
+    assert texts[-1] == f"{where}: no bytes; check power and port"
+    assert sum("no data yet" in text for text in texts) == 1
 
 
 def test_most_frequent_reason_is_reported_as_last_rejection(driver):

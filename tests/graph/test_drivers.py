@@ -30,15 +30,15 @@ from fixtures.plugged_devices import (
 @pytest.fixture
 def device():
     """Factory of powered devices; they are unplugged at the end."""
-    made = []
+    devices = []
 
     def make(plug_in, *arguments):
-        made.append(Powered(partial(plug_in, *arguments)))
-        return made[-1]
+        devices.append(Powered(partial(plug_in, *arguments)))
+        return devices[-1]
 
     yield make
-    for one in made:
-        one.unplug()
+    for powered in devices:
+        powered.unplug()
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def stamps_ns(messages):
     return [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in messages]
 
 
-def are_stamped(messages, began_ns):
+def assert_stamped(messages, began_ns):
     """Assert that stamps rise strictly and lie between the start of the test and now."""
     stamps = stamps_ns(messages)
     assert all(a < b for a, b in itertools.pairwise(stamps))
@@ -86,7 +86,7 @@ def run(bench, programs, observer, node, count):
     program = programs.node(node, **parameters)
     observer.wait(lambda: len(messages) >= count, f"{count} messages of {node}: {program.stderr}")
     observer.wait(lambda: is_healthy(healths, node), f"good health of {node}")
-    are_stamped(messages, began_ns)
+    assert_stamped(messages, began_ns)
     code, _ = program.end()
     assert code == 0
     faults = [line for line in program.stderr.splitlines() if "[ERROR]" in line or "Traceback" in line]
@@ -206,7 +206,7 @@ def test_can(bench, programs, observer):
         assert (message.left_pressure, message.right_pressure) == pytest.approx((4.0e6, -2.0e6), rel=0.01)
         assert (message.left_spool, message.right_spool) == pytest.approx((0.5, -0.25), abs=0.01)
         assert message.supply_pressure == pytest.approx(18.0e6, rel=0.01)
-    are_stamped(hydraulics, stamps_ns(messages)[0])
+    assert_stamped(hydraulics, stamps_ns(messages)[0])
 
 
 def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, observer, device, udp_port):
@@ -236,8 +236,8 @@ def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     observer.wait(lambda: messages, f"{node} to find its device")
     powered.unplug()
     healths.clear()
-    observer.wait(lambda: any(knows(h) for h in healths if h.name == node), f"{node} to complain")
-    observer.wait(lambda: complains(program.stderr), f"a line of {node} about it")
+    observer.wait(lambda: any(is_known_missing(h) for h in healths if h.name == node), f"{node} to complain")
+    observer.wait(lambda: has_complaint(program.stderr), f"a line of {node} about it")
     messages.clear()
     powered.plug()
     observer.wait(lambda: messages, f"{node} to find its device again")
@@ -248,13 +248,13 @@ def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     assert "Traceback" not in program.stderr
 
 
-def complains(console):
+def has_complaint(console):
     """Whether the console reports a missing device and the remedy."""
     reports = [line for line in console.splitlines() if "check power" in line]
     return any("not connected" in line or "no bytes" in line or "no frames" in line for line in reports)
 
 
-def knows(status):
+def is_known_missing(status):
     """Whether the device is known to be missing; a silent bus is reopened."""
     return status.level == b"\x02" or reconnects(status) > 0
 

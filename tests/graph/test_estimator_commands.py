@@ -28,10 +28,10 @@ def pose_now(x):
     return message
 
 
-class Machine:
+class Graph:
     """Estimator and recorder, driven by the test."""
 
-    def __init__(self, programs, observer, *of_recorder):
+    def __init__(self, programs, observer, *recorder_options):
         self._programs, self._observer = programs, observer
         self._topics = {
             "sprockets": observer.publisher("sprockets"),
@@ -41,9 +41,9 @@ class Machine:
         self.reports = observer.subscribe("measurement_reports")
         self.odometry = observer.subscribe("odometry")
         self.healths = observer.healths()
-        self._recorder = programs.node("record", *of_recorder, output="bag")
+        self._recorder = programs.node("record", *recorder_options, output="bag")
         self._estimator = programs.node("slip_estimator", jump_confirmations=5)
-        received = ("sprockets", "box_pose") if of_recorder else self._topics
+        received = ("sprockets", "box_pose") if recorder_options else self._topics
         for topic in self._topics:
             observer.wait_for_ends(topic, "slip_estimator", *(["record"] if topic in received else []))
         observer.wait_for_ends("slip_estimator/parameters", "slip_estimator", "record")
@@ -54,9 +54,9 @@ class Machine:
 
     def feed(self, topic, message):
         """Publish a message and wait for its report; the reported outcome."""
-        requested = len(self.reports) + 1
+        expected = len(self.reports) + 1
         self._topics[topic].publish(message)
-        self._observer.wait(lambda: len(self.reports) >= requested, f"a report on {topic}")
+        self._observer.wait(lambda: len(self.reports) >= expected, f"a report on {topic}")
         return self.reports[-1].outcome
 
     def drive(self, start_ms, stop_ms):
@@ -72,11 +72,11 @@ class Machine:
         """The next diagnostics entry whose message contains the text."""
         self.healths.clear()
 
-        def found():
+        def matching():
             return [h for h in self.healths if h.name == "slip_estimator" and text in h.message]
 
-        self._observer.wait(found, text)
-        return found()[0]
+        self._observer.wait(matching, text)
+        return matching()[0]
 
     def end(self):
         """End both nodes; the summary of a replay of the bag."""
@@ -86,22 +86,22 @@ class Machine:
 
 
 def test_every_user_command_is_executed_reported_and_answered(programs, observer):
-    machine = Machine(programs, observer)
-    assert machine.health("waiting for sprockets").level == DiagnosticStatus.WARN
-    machine.drive(200, 1000)
+    graph = Graph(programs, observer)
+    assert graph.health("waiting for sprockets").level == DiagnosticStatus.WARN
+    graph.drive(200, 1000)
     at_ms = 1000
 
-    answer = machine.ask(SetBool, "freeze", SetBool.Request(data=True))
+    answer = graph.ask(SetBool, "freeze", SetBool.Request(data=True))
     assert answer.success
-    assert machine.feed("box_pose", driven_pose(at_ms)) == R.FROZEN
-    assert machine.feed("sprockets", sprockets(at_ms, SPEED)) == R.ACCEPTED
-    assert machine.ask(SetBool, "freeze", SetBool.Request(data=False)).success
-    machine.drive(at_ms + 20, 1400)
+    assert graph.feed("box_pose", driven_pose(at_ms)) == R.FROZEN
+    assert graph.feed("sprockets", sprockets(at_ms, SPEED)) == R.ACCEPTED
+    assert graph.ask(SetBool, "freeze", SetBool.Request(data=False)).success
+    graph.drive(at_ms + 20, 1400)
 
-    assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
-    machine.feed("sprockets", sprockets(1400, SPEED))
-    observer.wait(lambda: abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.01, "the given pose")
-    assert machine.feed("box_pose", driven_pose(1400)) == R.GATED
+    assert graph.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
+    graph.feed("sprockets", sprockets(1400, SPEED))
+    observer.wait(lambda: abs(graph.odometry[-1].pose.pose.position.x - 20.0) < 0.01, "the given pose")
+    assert graph.feed("box_pose", driven_pose(1400)) == R.GATED
 
     for name, value, successful in (
         ("gate_probability", 0.5, True),
@@ -109,46 +109,46 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
         ("vehicle.kinematics.tread", 0.7, False),
         ("gate_probability", 2.0, False),
     ):
-        (found,) = observer.set_parameters("slip_estimator", **{name: value})
-        assert found.successful is successful, found.reason
-    machine.feed("box_pose", driven_pose(1410))
-    assert machine.reports[-1].gate < 12.0  # four times the quantile
+        (result,) = observer.set_parameters("slip_estimator", **{name: value})
+        assert result.successful is successful, result.reason
+    graph.feed("box_pose", driven_pose(1410))
+    assert graph.reports[-1].gate < 12.0  # four times the quantile
 
-    assert machine.ask(Trigger, "reset", Trigger.Request()).success
-    assert machine.feed("sprockets", sprockets(1420, SPEED)) == R.WAITING
-    machine.drive(1600, 6000)
+    assert graph.ask(Trigger, "reset", Trigger.Request()).success
+    assert graph.feed("sprockets", sprockets(1420, SPEED)) == R.WAITING
+    graph.drive(1600, 6000)
     outcomes = [
-        machine.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
+        graph.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
     ]  # the stamps start again, as in a repeated bag
     assert outcomes == [R.TOO_LATE] * 4 + [R.RESTARTED]
-    machine.drive(200, 1500)
+    graph.drive(200, 1500)
 
-    silent = machine.health("sprockets silent")
+    silent = graph.health("sprockets silent")
     assert silent.level == DiagnosticStatus.ERROR
     values = values_of(silent)
     assert values["restarts"] == "1"
     assert int(values["sprockets too_late"]) == 4
     assert "if consistent" in values["box_pose nis"]
 
-    reported = [r.source for r in machine.reports if r.source.startswith("slip_estimator/")]
+    reported = [r.source for r in graph.reports if r.source.startswith("slip_estimator/")]
     names = ("freeze", "unfreeze", "set_pose", "parameters", "parameters", "reset")
     assert reported == [f"slip_estimator/{name}" for name in names]
-    stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in machine.odometry])
+    stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in graph.odometry])
     assert np.count_nonzero(np.diff(stamps) <= 0.0) == 1
-    found = machine.end()
-    assert found["replay_matches"] is True
-    assert found["rejected"]["box_pose"]["frozen"] == 1
+    summary = graph.end()
+    assert summary["replay_matches"] is True
+    assert summary["rejected"]["box_pose"]["frozen"] == 1
 
 
 @pytest.mark.slow
 def test_pose_of_undiscovered_publisher_is_replayed(programs, observer):
     """The recorder may miss a program that sets a pose and ends immediately."""
-    machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")
-    machine.drive(200, 600)
-    assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
-    machine.drive(600, 1000)
-    assert abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.5
-    found = machine.end()
-    assert found["messages"][SET_POSE] == 1
-    assert found["replay_matches"] is True
-    assert abs(found["final"]["x"] - 20.1) < 0.02
+    graph = Graph(programs, observer, "-r", f"{SET_POSE}:=unrecorded")
+    graph.drive(200, 600)
+    assert graph.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
+    graph.drive(600, 1000)
+    assert abs(graph.odometry[-1].pose.pose.position.x - 20.0) < 0.5
+    summary = graph.end()
+    assert summary["messages"][SET_POSE] == 1
+    assert summary["replay_matches"] is True
+    assert abs(summary["final"]["x"] - 20.1) < 0.02

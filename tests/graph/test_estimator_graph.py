@@ -98,7 +98,7 @@ def wrong():
     ]
 
 
-class Line:
+class Graph:
     """Recorder, localizer and estimator; the test replaces the sensors."""
 
     def __init__(self, programs, observer):
@@ -132,28 +132,28 @@ class Line:
         """Publish in bursts; wait for the reports of each burst before the next one."""
         script = list(script)
         for k in range(0, len(script), BURST):
-            requested = len(self.reports)
+            expected = len(self.reports)
             for topic, message in script[k : k + BURST]:
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
-                requested += 1  # the report on a scan is that of its pose
-            self._observer.wait(lambda n=requested: len(self.reports) >= n, f"{requested} reports")
+                expected += 1  # the report on a scan is that of its pose
+            self._observer.wait(lambda n=expected: len(self.reports) >= n, f"{expected} reports")
 
     def first(self, topic, message):
         """Publish a source's first message, repeatedly until all nodes on its path are connected."""
-        requested = len(self.reports)
+        before = len(self.reports)
         sent = -math.inf
         self.sent_again -= 1
 
         def reported():
             nonlocal sent
-            if len(self.reports) == requested and time.monotonic() - sent >= AGAIN:
+            if len(self.reports) == before and time.monotonic() - sent >= AGAIN:
                 self.sent_again += 1
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
                 message.header.stamp.nanosec += 1_000_000  # repetitions have later stamps
                 sent = time.monotonic()
-            return len(self.reports) > requested
+            return len(self.reports) > before
 
         self._observer.wait(reported, f"a report on {topic}")
 
@@ -167,27 +167,27 @@ class Line:
         path = self.folder / "bag"
         with open_bag(path) as bag:
             recorded = bag.topics["/odometry"].count
-        self._observer.wait(lambda: len(self.odometry) >= recorded, "what the recorder has heard")
+        self._observer.wait(lambda: len(self.odometry) >= recorded, "all recorded estimates")
         return path
 
     def _is_recorded(self):
         """Whether the recorder's counts are complete; messages in its queues at its end are not recorded."""
-        found = last_values(self._healths, "record")
-        requested = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
-        return all(found.get(f"/{topic}") == str(n) for topic, n in requested.items())
+        counts = last_values(self._healths, "record")
+        expected = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
+        return all(counts.get(f"/{topic}") == str(n) for topic, n in expected.items())
 
 
-def drive(line):
-    line.first("sprockets", sprockets(50, SPEED))  # before the first fix
-    assert line.reports[-1].outcome == R.WAITING
+def drive(graph):
+    graph.first("sprockets", sprockets(50, SPEED))  # before the first fix
+    assert graph.reports[-1].outcome == R.WAITING
     script = ordinary()
-    line.first("scan", script[0][2])
-    assert (line.reports[-1].source, line.reports[-1].outcome) == ("box_pose", R.ACCEPTED)
-    line.feed([entry[1:] for entry in script[1:]])
+    graph.first("scan", script[0][2])
+    assert (graph.reports[-1].source, graph.reports[-1].outcome) == ("box_pose", R.ACCEPTED)
+    graph.feed([entry[1:] for entry in script[1:]])
 
 
-def is_given_back(path):
-    """Assert that replay equals the live run exactly; outcomes of all measurements in order."""
+def replayed_outcomes(path):
+    """Outcomes of all measurements in order; asserts that replay equals the live run exactly."""
     parts = []
     with open_bag(path) as bag:
         assert not bag.damage
@@ -202,51 +202,51 @@ def is_given_back(path):
 
 @pytest.mark.slow
 def test_every_measurement_is_reported_and_replayed(programs, observer):
-    line = Line(programs, observer)
-    drive(line)
-    ordinary_count = len(line.reports)
-    outcomes = [report.outcome for report in line.reports[1:]]
+    graph = Graph(programs, observer)
+    drive(graph)
+    ordinary_count = len(graph.reports)
+    outcomes = [report.outcome for report in graph.reports[1:]]
     assert outcomes.count(R.ACCEPTED) > 0.98 * len(outcomes)
     for topic, message, outcome in wrong():
-        line.feed([(topic, message)])
-        report = line.reports[-1]
+        graph.feed([(topic, message)])
+        report = graph.reports[-1]
         assert (report.source, report.outcome) == (topic, outcome)
         assert report.header.stamp == message.header.stamp
         if topic != "gnss":  # its outcome is that of the most probable hypothesis
             assert (report.nis > report.gate) == (outcome == R.GATED)
-    assert len(line.reports) == ordinary_count + len(wrong())
-    stamps = [m.header.stamp.sec * 1000 * MS + m.header.stamp.nanosec for m in line.odometry]
+    assert len(graph.reports) == ordinary_count + len(wrong())
+    stamps = [m.header.stamp.sec * 1000 * MS + m.header.stamp.nanosec for m in graph.odometry]
     assert stamps == sorted(set(stamps))
-    assert np.isfinite([m.pose.pose.position.x for m in line.odometry]).all()
-    path = line.bag()
-    assert is_given_back(path) == [r.outcome for r in line.reports]
+    assert np.isfinite([m.pose.pose.position.x for m in graph.odometry]).all()
+    path = graph.bag()
+    assert replayed_outcomes(path) == [r.outcome for r in graph.reports]
     with AnyReader([path]) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
-        assert counts["/measurement_reports"] == len(line.reports)
-        assert counts["/odometry"] == len(line.odometry)
-        assert counts["/gnss"] == sum(r.source == "gnss" for r in line.reports)
+        assert counts["/measurement_reports"] == len(graph.reports)
+        assert counts["/odometry"] == len(graph.odometry)
+        assert counts["/gnss"] == sum(r.source == "gnss" for r in graph.reports)
         connection = next(c for c in reader.connections if c.topic == "/odometry")
         first = next(raw for _, _, raw in reader.messages([connection]))
         read: Any = reader.deserialize(first, connection.msgtype)
-        assert read.pose.pose.position.x == line.odometry[0].pose.pose.position.x
-    found = programs.replay(str(path))
-    taken = sum(found["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
-    assert taken - line.sent_again <= len(line.reports) <= taken
-    assert found["final"]["x"] == line.odometry[-1].pose.pose.position.x
+        assert read.pose.pose.position.x == graph.odometry[0].pose.pose.position.x
+    summary = programs.replay(str(path))
+    processed = sum(summary["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
+    assert processed - graph.sent_again <= len(graph.reports) <= processed
+    assert summary["final"]["x"] == graph.odometry[-1].pose.pose.position.x
 
 
 def test_replay_is_exact_under_load_and_out_of_order(programs, observer):
     """On a busy machine, with measurements in random order within a second."""
-    line = Line(programs, observer)
+    graph = Graph(programs, observer)
     burners = [programs.python("-c", "while True: pass") for _ in range(3)]
-    line.first("scan", scan(0))
+    graph.first("scan", scan(0))
     script = [entry[1:] for entry in ordinary()[1:]]
     random = np.random.default_rng(4)
     for k in range(0, len(script), 100):
         chunk = script[k : k + 100]
-        line.feed([chunk[i] for i in random.permutation(len(chunk))])
+        graph.feed([chunk[i] for i in random.permutation(len(chunk))])
     for burner in burners:
         assert burner.end(signal.SIGKILL)[0] == -signal.SIGKILL
-    given_back = is_given_back(line.bag())
-    assert len(given_back) == len(line.reports)
-    assert 0 <= len(given_back) - len(script) - 1 <= line.sent_again
+    outcomes = replayed_outcomes(graph.bag())
+    assert len(outcomes) == len(graph.reports)
+    assert 0 <= len(outcomes) - len(script) - 1 <= graph.sent_again

@@ -11,9 +11,9 @@ WIDE, NARROW = 0.9999, 0.5
 LOST = 5.0  # s without a report after which a message is sent again
 
 
-def gate_probability(observer, value):
-    (found,) = observer.set_parameters("slip_estimator", gate_probability=value)
-    assert found.successful, found.reason
+def set_gate_probability(observer, value):
+    (result,) = observer.set_parameters("slip_estimator", gate_probability=value)
+    assert result.successful, result.reason
 
 
 @pytest.mark.slow
@@ -27,7 +27,7 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
     recorder = programs.node("record", output="bag")
     estimator = programs.node("slip_estimator", autostart=False)
     assert observer.change("slip_estimator", "configure")
-    gate_probability(observer, NARROW)
+    set_gate_probability(observer, NARROW)
     for topic in ("sprockets", "box_pose"):
         observer.wait_for_ends(topic, "observer", "record", "slip_estimator")
     observer.wait_for_recorder(
@@ -50,8 +50,10 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
             if time.monotonic() >= due:
                 publisher.publish(message)
                 due = time.monotonic() + LOST
-            of = publisher.topic_name.removeprefix("/")
-            return any(r.source == of and r.header.stamp == message.header.stamp for r in reversed(reports))
+            source = publisher.topic_name.removeprefix("/")
+            return any(
+                r.source == source and r.header.stamp == message.header.stamp for r in reversed(reports)
+            )
 
         observer.wait(is_reported, f"a report on {publisher.topic_name}")
 
@@ -60,7 +62,7 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
     assert gate_after(0) < 3.0  # the quantile
 
     assert observer.change("slip_estimator", "deactivate")
-    gate_probability(observer, WIDE)
+    set_gate_probability(observer, WIDE)
     assert observer.change("slip_estimator", "activate")
     observer.wait(lambda: f"gate_probability: {WIDE}" in texts[-1].data, "the parameters in use")
     assert gate_after(200) > 10.0

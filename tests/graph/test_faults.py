@@ -75,8 +75,8 @@ class Rig:
         return None if status is None else (status.level, values_of(status))
 
     def value(self, name, key):
-        found = self.latest(name)
-        return None if found is None else found[1].get(key)
+        report = self.latest(name)
+        return None if report is None else report[1].get(key)
 
     def count(self, name, key):
         """A count in a node's report; it also shows events that end before the next report."""
@@ -85,14 +85,14 @@ class Rig:
     def fault(self, text):
         self._fault.publish(String(data="{" + text + "}"))
 
-    def complains(self, sensor):
+    def is_data_missing(self, sensor):
         """Whether the driver reports missing data."""
-        found = self.latest(NODE[sensor])
-        return found is not None and found[0] not in (OK, WARN)
+        report = self.latest(NODE[sensor])
+        return report is not None and report[0] not in (OK, WARN)
 
     def is_ok(self, name):
-        found = self.latest(name)
-        return found is not None and found[0] == OK
+        report = self.latest(name)
+        return report is not None and report[0] == OK
 
     def is_nominal(self, sensor):
         return (
@@ -126,7 +126,7 @@ def test_sensors_fail_and_come_back(rig):
     missed = set()
 
     def all_missed():
-        missed.update(filter(rig.complains, NODE))
+        missed.update(filter(rig.is_data_missing, NODE))
         return missed == set(NODE)
 
     rig.wait(all_missed, "all to be missed")
@@ -159,7 +159,7 @@ def test_malformed_faults_are_refused_and_counted(programs, observer, can):
 def test_a_hundred_faults_in_a_row(programs, observer, can, failing):
     """No node ends, leaks memory or stays below its nominal rate."""
     rig, choose = Rig(programs, observer, can, failing), random.Random(1)
-    kinds = {kind: sorted({*of} & {*failing}) for kind, (of, _) in RANDOM_FAULTS.items()}
+    kinds = {kind: sorted({*possible} & {*failing}) for kind, (possible, _) in RANDOM_FAULTS.items()}
     before = None
     for n in range(100):
         kind = choose.choice(sorted(kind for kind, sensors in kinds.items() if sensors))

@@ -56,14 +56,13 @@ def test_antenna_position_and_heading_match_the_truth(real_time, machine, observ
             at_x + math.cos(at_yaw) * ANTENNA[0] - math.sin(at_yaw) * ANTENNA[1],
             at_y + math.sin(at_yaw) * ANTENNA[0] + math.cos(at_yaw) * ANTENNA[1],
         )
-        found = message.pose.pose.position
-        assert (found.x, found.y) == pytest.approx(expected, abs=0.06)
+        measured = message.pose.pose.position
+        assert (measured.x, measured.y) == pytest.approx(expected, abs=0.06)
     for message in headings:
         if times[0] < seconds(message) < times[-1]:
-            found = 2 * math.atan2(message.orientation.z, message.orientation.w)
-            assert math.remainder(found - np.interp(seconds(message), times, yaw), math.tau) == pytest.approx(
-                0.0, abs=0.03
-            )
+            heading = 2 * math.atan2(message.orientation.z, message.orientation.w)
+            error = heading - np.interp(seconds(message), times, yaw)
+            assert math.remainder(error, math.tau) == pytest.approx(0.0, abs=0.03)
 
 
 @pytest.mark.slow

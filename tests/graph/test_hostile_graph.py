@@ -37,7 +37,9 @@ def test_a_second_publisher_of_an_input_is_an_error(estimator: SlipEstimatorNode
     def publisher(topic: str) -> Any:
         return other.create_publisher(topic_class(topic), topic, publisher_qos(topic))
 
-    kept = [publisher(topic) for topic in ("sprockets", "slip_estimator/set_pose", "slip_estimator/set_pose")]
+    publishers = [
+        publisher(topic) for topic in ("sprockets", "slip_estimator/set_pose", "slip_estimator/set_pose")
+    ]
     wait_for(lambda: estimator.count_publishers("slip_estimator/set_pose") == 2)
     wait_for(lambda: estimator.count_publishers("sprockets") == 1)
     assert estimator.inputs.health() == []
@@ -48,15 +50,15 @@ def test_a_second_publisher_of_an_input_is_an_error(estimator: SlipEstimatorNode
     assert health.values == {"sprockets": 2, "publishers of sprockets": "/other, /other"}
     other.destroy_publisher(second)
     wait_for(lambda: not estimator.inputs.health())
-    assert len(kept) == 3
+    assert len(publishers) == 3
 
 
 def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimatorNode) -> None:
-    (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
+    (subscription,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
     pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
     for frame in ("laser", "", "map"):
         pose.header.frame_id = frame
-        listening.callback(serialize_message(pose))
+        subscription.callback(serialize_message(pose))
     assert estimator.tally.total["box_pose", "of another frame"] == 2
     assert "box_pose of another frame" in estimator.health()[0].values
 
@@ -67,17 +69,17 @@ def test_flood_of_messages_is_dropped_and_its_publisher_named(
     """At 10 kHz the executor still runs timers, and the queue stays bounded."""
     publisher = other.create_publisher(topic_class("box_pose"), "box_pose", publisher_qos("box_pose"))
     wait_for(lambda: estimator.count_publishers("box_pose") == 1)
-    (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
+    (subscription,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
     pose = serialize_message(make("geometry_msgs/msg/PoseWithCovarianceStamped"))
     sent = 2 * round(MAX_BURST)
     for _ in range(sent):
-        listening.callback(pose)
+        subscription.callback(pose)
     (health,) = estimator.inputs.health()
-    taken = estimator.tally.total["box_pose", "of another frame"]
+    accepted = estimator.tally.total["box_pose", "of another frame"]
     assert health.level == ERROR
-    assert health.message == f"{sent - taken} messages of box_pose were too many"
-    assert health.values == {"box_pose dropped": sent - taken, "publishers of box_pose": "/other"}
-    assert taken >= MAX_BURST
+    assert health.message == f"{sent - accepted} messages of box_pose were too many"
+    assert health.values == {"box_pose dropped": sent - accepted, "publishers of box_pose": "/other"}
+    assert accepted >= MAX_BURST
     assert estimator.inputs.health() == []
     other.destroy_publisher(publisher)
 

@@ -30,10 +30,10 @@ def names(file: Path, **arguments: str) -> set[str]:
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_arguments_are_described_as_on_the_page(file: Path) -> None:
-    found = declarations(file)
-    assert all(found.values())
+    arguments = declarations(file)
+    assert all(arguments.values())
     common = {"vehicle", "params_file", "namespace", "use_sim_time", "log_level", "respawn", "peers"}
-    assert common | {"laser", "imu", "gnss"} <= found.keys()
+    assert common | {"laser", "imu", "gnss"} <= arguments.keys()
 
 
 ANOTHER = {  # values other than the default, of arguments that are not booleans
@@ -138,8 +138,8 @@ def test_demo_starts_the_sensor_behind_each_source_of_its_estimates(switches: di
         "gnss_pose": ("gnss_localizer", "nmea_gnss"),
         "imu/data_raw": ("watson_imu",),
     }
-    given = parameters(nodes["slip_estimator"])
-    sources = [*given.get("pose_sources", ["box_pose"]), *given.get("yaw_rate_sources", ["imu/data_raw"])]
+    p = parameters(nodes["slip_estimator"])
+    sources = [*p.get("pose_sources", ["box_pose"]), *p.get("yaw_rate_sources", ["imu/data_raw"])]
     assert [source for source in sources if not {*behind[source]} <= nodes.keys()] == []
     has_receiver = parameters(nodes["emulator"])["gnss.device.rate"] > 0.0
     assert has_receiver == ("gnss_pose" in sources)

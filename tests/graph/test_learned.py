@@ -70,15 +70,15 @@ class Graph:
             self.topics[m.source].publish(message_of(m))
             self.observer.wait(lambda n=count: len(self.reports) >= n, f"{count} reports")
 
-    def status(self, name, condition=lambda _: True):
-        """Message and values of the next diagnostics entry of this name."""
+    def status(self, name):
+        """The next diagnostics entry of this name, and its values."""
         self.healths.clear()
 
-        def found():
-            return [h for h in self.healths if h.name == name and condition(h)]
+        def matching():
+            return [h for h in self.healths if h.name == name]
 
-        self.observer.wait(found, name)
-        entry = found()[-1]
+        self.observer.wait(matching, name)
+        entry = matching()[-1]
         return entry, values_of(entry)
 
     def ask(self, service):
@@ -127,11 +127,11 @@ def test_restart_keeps_learned_states(programs, observer, capsys):
     entry, _ = graph.status("slip_estimator: state file")
     assert entry.level == DiagnosticStatus.WARN
     assert "is not used: it is of another vehicle" in entry.message
-    kept = programs.folder / "kept" / "slip_estimator.yaml"
+    state_file = programs.folder / "kept" / "slip_estimator.yaml"
     graph.feed(later(machine[: len(machine) // 4], 2 * 10**12))
     assert graph.ask("forget").success
-    assert not kept.exists()
+    assert not state_file.exists()
     assert graph.status("slip_estimator")[1]["gyro scale"] == "not observed yet"
     graph.feed(later(machine[: len(machine) // 4], 2 * 10**12 + 5_050_000_000))
     assert graph.end("third")["replay_matches"] is True
-    assert kept.exists()
+    assert state_file.exists()

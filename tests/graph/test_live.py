@@ -28,7 +28,7 @@ def fixes(port):
     return asyncio.run(asyncio.wait_for(whole(), PATIENCE))["fixes"]
 
 
-def address_of(program):
+def port_of(program):
     """Port of the page's server."""
     printed = r"http://\S+:(\d+)/"
     program.until(lambda: re.search(printed, program.stdout + program.stderr), "the address")
@@ -43,10 +43,10 @@ def subscribed(observer):
 
 @pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])
 def test_fixes_are_drawn_beside_invalid_source_names(programs, observer, source):
-    port = address_of(programs.node("live", port=0))
-    stated = observer.node.create_publisher(String, PARAMETERS, latched_qos())
+    port = port_of(programs.node("live", port=0))
+    publisher = observer.node.create_publisher(String, PARAMETERS, latched_qos())
     names = ["no topic at all!", "rtk/pose"]
-    stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
+    publisher.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
     poses = observer.node.create_publisher(PoseWithCovarianceStamped, source, 10)
     pose = PoseWithCovarianceStamped()
     pose.pose.pose.position.x, pose.pose.pose.position.y = 3.0, 4.0
@@ -59,11 +59,11 @@ def test_fixes_are_drawn_beside_invalid_source_names(programs, observer, source)
 
 
 def test_subscriptions_of_removed_sources_are_dropped(programs, observer):
-    address_of(programs.node("live", port=0))
+    port_of(programs.node("live", port=0))
     observer.wait(lambda: "/box_pose" in subscribed(observer), "the node's subscriptions")
     first = subscribed(observer)
-    stated = observer.node.create_publisher(String, PARAMETERS, latched_qos())
+    publisher = observer.node.create_publisher(String, PARAMETERS, latched_qos())
     for names in (["rtk/pose", "lidar/pose"], ["lidar/pose", "beacon/pose"], []):
-        stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
+        publisher.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
         expected = first | {f"/{name}" for name in names}
         observer.wait(lambda expected=expected: subscribed(observer) == expected, f"{names}")

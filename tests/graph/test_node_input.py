@@ -54,7 +54,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 QUICK = {"emulator": {"scenario": "straight", "lead_in": 0.5}}  # further parameters for a quick start
 
 
-def is_one_line(stdout, stderr, *words):
+def assert_one_line(stdout, stderr, *words):
     """Assert that stderr is one line with all these words, and stdout is empty."""
     lines = stderr.splitlines()
     assert len(lines) == 1, stderr
@@ -63,17 +63,17 @@ def is_one_line(stdout, stderr, *words):
 
 
 @pytest.fixture
-def is_refused(domain, tmp_path, monkeypatch, capfd):
+def assert_refused(domain, tmp_path, monkeypatch, capfd):
     """A function that runs a node with bad arguments and asserts exit code 2 and one line."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.chdir(tmp_path)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def refuses(node, arguments, *words):
+    def refuse(node, arguments, *words):
         assert run(NODES[node], arguments) == ExitCode.BAD_INPUT
-        is_one_line(*capfd.readouterr(), *words)
+        assert_one_line(*capfd.readouterr(), *words)
 
-    yield refuses
+    yield refuse
     for number, handler in handlers.items():
         signal.signal(number, handler)
 
@@ -82,31 +82,31 @@ def is_refused(domain, tmp_path, monkeypatch, capfd):
 def test_unknown_parameter(programs, node):
     program = programs.node(node, nonsense=1)
     assert program.wait() == ExitCode.BAD_INPUT
-    is_one_line(program.stdout, program.stderr, node, "'nonsense'", "accepted: ")
+    assert_one_line(program.stdout, program.stderr, node, "'nonsense'", "accepted: ")
 
 
 @pytest.mark.parametrize(
     ("node", "name"), [(node, name) for node, parameters in REFUSED.items() for name in parameters]
 )
-def test_refused_value(is_refused, node, name):
+def test_refused_value(assert_refused, node, name):
     value = REFUSED[node][name]
-    shown = value if isinstance(value, str) else f"{value:g}"
-    is_refused(node, ros_arguments(**{name: value}), name.rpartition("__")[2], shown)
+    text = value if isinstance(value, str) else f"{value:g}"
+    assert_refused(node, ros_arguments(**{name: value}), name.rpartition("__")[2], text)
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_parameter_file_that_is_not_there(is_refused, node):
-    is_refused(node, ros_arguments("--params-file", "missing.yaml"), "missing.yaml", "accepted: ")
+def test_parameter_file_that_is_not_there(assert_refused, node):
+    assert_refused(node, ros_arguments("--params-file", "missing.yaml"), "missing.yaml", "accepted: ")
 
 
-def test_parameter_file_that_is_not_yaml(is_refused, tmp_path):
+def test_parameter_file_that_is_not_yaml(assert_refused, tmp_path):
     (tmp_path / "bad.yaml").write_text("sick_pls: [", encoding="utf-8")
-    is_refused("sick_pls", ros_arguments("--params-file", "bad.yaml"), "bad.yaml", "accepted: ")
+    assert_refused("sick_pls", ros_arguments("--params-file", "bad.yaml"), "bad.yaml", "accepted: ")
 
 
-def test_unknown_parameter_in_a_file(is_refused, tmp_path):
+def test_unknown_parameter_in_a_file(assert_refused, tmp_path):
     (tmp_path / "one.yaml").write_text("watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8")
-    is_refused("watson_imu", ros_arguments("--params-file", "one.yaml"), "'nonsense'", "serial_port")
+    assert_refused("watson_imu", ros_arguments("--params-file", "one.yaml"), "'nonsense'", "serial_port")
 
 
 def test_parameter_files_of_the_project_are_accepted(programs, observer):
@@ -119,15 +119,15 @@ def test_parameter_files_of_the_project_are_accepted(programs, observer):
     assert "vehicle.kinematics.tread: 0.8" in texts[0].data
 
 
-def test_recorder_keeps_existing_files(is_refused, tmp_path):
+def test_recorder_keeps_existing_files(assert_refused, tmp_path):
     (tmp_path / "bag").mkdir()
-    is_refused("record", ros_arguments(output="bag"), "'bag'", "exists already", "accepted: ")
+    assert_refused("record", ros_arguments(output="bag"), "'bag'", "exists already", "accepted: ")
     assert list((tmp_path / "bag").iterdir()) == []
 
 
-def test_recorder_that_cannot_write(is_refused, tmp_path):
+def test_recorder_that_cannot_write(assert_refused, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
-    is_refused("record", ros_arguments(output="file/bag"), "'file/bag'")
+    assert_refused("record", ros_arguments(output="file/bag"), "'file/bag'")
 
 
 @pytest.mark.parametrize("node", NODES)
@@ -137,11 +137,11 @@ def test_recorder_that_cannot_write(is_refused, tmp_path):
     ids=lambda number: number.name,
 )
 def test_running_node_ends_quietly(programs, observer, node, number):
-    given = QUICK.get(node, {})
+    parameters = QUICK.get(node, {})
     if node == "emulator":
-        given = {**given, "device_directory": str(programs.folder / "dev")}
+        parameters = {**parameters, "device_directory": str(programs.folder / "dev")}
     healths = observer.healths()
-    program = programs.node(node, **given)
+    program = programs.node(node, **parameters)
     observer.wait(lambda: [status for status in healths if status.name == node], f"diagnostics of {node}")
     code, _ = program.end(number)
     logged = re.compile(rf"\[(INFO|WARN|ERROR)\] \[[\d.]+\] \[{node}\]: ")  # changes of state
@@ -160,7 +160,7 @@ def test_ctrl_c_while_a_node_starts(programs, node, moment):
     assert (code, program.stderr) == (0, "")
 
 
-def test_ctrl_c_while_the_emulator_compiles(programs, observer):
+def test_ctrl_c_while_the_emulator_compiles(programs):
     programs.environment["NUMBA_CACHE_DIR"] = str(programs.folder / "empty")
     program = programs.node("emulator", device_directory=str(programs.folder / "dev"))
     program.until(lambda: program.stderr.endswith("\n"), "its first line")
@@ -211,5 +211,5 @@ def test_parameters_of_other_nodes_in_a_common_section_are_ignored(programs, obs
 def test_soil_estimator_without_hydraulics_names_the_missing_groups(programs, observer):
     healths = observer.healths()
     programs.node("soil_estimator", vehicle="warthog")
-    lacking = "vehicle 'warthog' has no mass and no hydraulics: no forces and no soil are estimated"
-    observer.wait(lambda: any(status.message == lacking for status in healths), "what it lacks")
+    message = "vehicle 'warthog' has no mass and no hydraulics: no forces and no soil are estimated"
+    observer.wait(lambda: any(status.message == message for status in healths), "what it lacks")

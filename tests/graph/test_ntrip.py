@@ -37,7 +37,7 @@ class Receiver:
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self.port = os.ttyname(slave)
-        self.got = b""
+        self.received = b""
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -47,7 +47,7 @@ class Receiver:
         while not self._ends.is_set():
             ready, _, _ = select.select([self._master], [], [], max(due_s - time.monotonic(), 0.0))
             if ready:
-                self.got += os.read(self._master, 4096)
+                self.received += os.read(self._master, 4096)
             if time.monotonic() >= due_s:
                 at = Position(time.time_ns(), LATITUDE, LONGITUDE, 520.0, 4, 0.6, 0.01, 0.02, 90.0, 0.0)
                 os.write(self._master, gga(at) + gst(at))
@@ -142,11 +142,11 @@ def test_corrections_reach_the_receiver_and_no_credential_leaves_its_file(
     assert f"127.0.0.1:{caster.port}, mountpoint SITE1" in lines[0]
     station.refuses.clear()
     observer.wait(reports("corrections come"), "corrections")
-    observer.wait(lambda: receiver.got.count(rtcm()[:3]) > 20, "corrections at the receiver")
+    observer.wait(lambda: receiver.received.count(rtcm()[:3]) > 20, "corrections at the receiver")
     observer.wait(lambda: station.positions.count(b"GGA,") > 3, "positions at the caster")
-    first = int.from_bytes(receiver.got[3:5], "big")
+    first = int.from_bytes(receiver.received[3:5], "big")
     whole = b"".join(rtcm(number=first + k) for k in range(20))
-    assert receiver.got.startswith(whole)
+    assert receiver.received.startswith(whole)
     assert b"4808.22" in station.positions
     values = last_values(healths, "nmea_gnss: corrections")
     assert float(values["age of corrections (s)"]) < 10.0

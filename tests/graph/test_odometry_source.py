@@ -15,7 +15,7 @@ LOST = -1.0  # first element of the covariance of a missing velocity
 @pytest.mark.slow
 def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     healths = observer.healths()
-    reports, found = observer.subscribe("measurement_reports"), observer.subscribe("odometry")
+    reports, estimates = observer.subscribe("measurement_reports"), observer.subscribe("odometry")
     speeds, fixes, camera = (
         observer.publisher(topic, kind)
         for topic, kind in (("sprockets", None), ("box_pose", None), ("camera/odom", "odometry"))
@@ -34,12 +34,12 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
             fixes.publish(pose(0))
             sent += 1
         if step % EVERY == 2:
-            seen = stamped(Odometry, step * STEP_MS - 7)
-            seen.header.frame_id, seen.pose.pose.orientation.w = "camera_odom", 1.0
-            seen.pose.pose.position.y = 0.9 * RADIUS * SPEED * (step * STEP_MS - 7) * 1e-3  # it faces left
-            seen.pose.pose.orientation.z, seen.pose.pose.orientation.w = np.sin(np.pi / 4), np.cos(np.pi / 4)
-            seen.twist.covariance[0] = LOST if step == 52 else 0.0
-            camera.publish(seen)
+            odom = stamped(Odometry, step * STEP_MS - 7)
+            odom.header.frame_id, odom.pose.pose.orientation.w = "camera_odom", 1.0
+            odom.pose.pose.position.y = 0.9 * RADIUS * SPEED * (step * STEP_MS - 7) * 1e-3  # it faces left
+            odom.pose.pose.orientation.z, odom.pose.pose.orientation.w = np.sin(np.pi / 4), np.cos(np.pi / 4)
+            odom.twist.covariance[0] = LOST if step == 52 else 0.0
+            camera.publish(odom)
             refused += step == 52
             sent += step != 52
         observer.wait(lambda sent=sent: len(reports) == sent, "all reports")
@@ -47,9 +47,9 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     outcomes = [report.outcome for report in reports if report.source == "camera/odom"]
     assert outcomes[:2] == [10, 0]  # begun, accepted
     assert set(outcomes[2:]) == {0}
-    assert found[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # track slip is 10 %
-    requested = "camera/odom whose covariance marks the velocity as absent"
-    observer.wait(lambda: any(requested in {v.key for v in s.values} for s in healths), "its count")
+    assert estimates[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # track slip is 10 %
+    key = "camera/odom whose covariance marks the velocity as absent"
+    observer.wait(lambda: any(key in {v.key for v in s.values} for s in healths), "its count")
     assert recorder.end()[0] == 0
     summary = programs.replay("bag")
     assert summary["replay_matches"] is True

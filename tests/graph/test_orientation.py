@@ -19,8 +19,8 @@ def test_orientation_is_used_and_one_without_a_covariance_is_counted(programs, o
     publishers = {t: observer.publisher(t) for t in ("sprockets", "box_pose", "imu/data_raw")}
     reports, attitudes = observer.subscribe("measurement_reports"), observer.subscribe("attitude")
     healths = observer.healths()
-    requested = {"use_orientation": True, "use_acceleration": False}
-    programs.node("slip_estimator", **{f"sources__imu_data_raw__{name}": v for name, v in requested.items()})
+    settings = {"use_orientation": True, "use_acceleration": False}
+    programs.node("slip_estimator", **{f"sources__imu_data_raw__{name}": v for name, v in settings.items()})
     for topic in publishers:
         observer.wait_for_ends(topic, "observer", "slip_estimator")
 
@@ -39,8 +39,8 @@ def test_orientation_is_used_and_one_without_a_covariance_is_counted(programs, o
         feed("imu/data_raw", imu)
 
     def counted():
-        own = [pair for h in healths for pair in h.values if pair.key == "imu/data_raw no_covariance"]
-        return own and own[-1].value == "10"
+        counts = [pair for h in healths for pair in h.values if pair.key == "imu/data_raw no_covariance"]
+        return counts and counts[-1].value == "10"
 
     observer.wait(counted, "ten that have no covariance")
     turn = attitudes[-1].orientation

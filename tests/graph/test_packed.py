@@ -75,8 +75,8 @@ def test_a_packed_message_reads_as_its_object(type_name: str, kind: Any) -> None
             message = make(type_name, mu_r=0.1, reason="abc", identifiable=True, class_probabilities=[0.5])
         else:
             message = with_numbers(make(type_name), random)
-        expected, found = read(kind, message), read(kind, packed(message))
-        for one, other in zip(expected, found, strict=True):
+        expected, fields = read(kind, message), read(kind, packed(message))
+        for one, other in zip(expected, fields, strict=True):
             assert type(one) is type(other)
             np.testing.assert_array_equal(one, other)
 
@@ -90,10 +90,10 @@ def test_a_topic_whose_layout_changes_is_read_on() -> None:
             one = PackedMessage(serialize_message(message), topic)
             assert read(FrameFields, one).frame == frame
             speeds = dict(zip(names, message.velocity, strict=True))
-            found = read(SprocketFields, one)
-            assert (found.left_speed, found.right_speed) == (speeds[LEFT_SPROCKET], speeds[RIGHT_SPROCKET])
-            assert not found.has_positions
-            assert math.isnan(found.left_position)
+            fields = read(SprocketFields, one)
+            assert (fields.left_speed, fields.right_speed) == (speeds[LEFT_SPROCKET], speeds[RIGHT_SPROCKET])
+            assert not fields.has_positions
+            assert math.isnan(fields.left_position)
 
 
 def test_a_packed_message_without_a_layout_is_read_by_its_object() -> None:

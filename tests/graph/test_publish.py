@@ -105,7 +105,7 @@ def test_warnings_of_the_player_are_lines_of_their_own(path, domain):
     """On a terminal, without a subscriber."""
     trackslip = [sys.executable, "-m", "trackslip_tools.cli.main"]
     command = [*trackslip, "replay", str(path), "--publish", "--rate", "2"]
-    shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
-    assert shown.code == 0, shown.text
-    warnings = [line for line in shown.lines if "no node subscribes" in line]
+    terminal = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
+    assert terminal.code == 0, terminal.text
+    warnings = [line for line in terminal.lines if "no node subscribes" in line]
     assert warnings == ["[WARN] no node subscribes to the played topics"]

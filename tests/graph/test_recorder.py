@@ -130,19 +130,19 @@ def numbered(number):
     return message
 
 
-def is_strictly_readable(path):
-    """Numbers in the bag, in order, as the strict reader of rosbags reads them."""
+def read_strictly(path):
+    """Numbers in the bag, in order, by the strict reader of rosbags; asserts that mcap reads as many."""
     numbers = []
     with AnyReader([path]) as reader:
-        requested = [connection for connection in reader.connections if connection.topic == "/sprockets"]
-        for connection, _, raw in reader.messages(requested):
+        connections = [connection for connection in reader.connections if connection.topic == "/sprockets"]
+        for connection, _, raw in reader.messages(connections):
             message: Any = reader.deserialize(raw, connection.msgtype)
             numbers.append(int(message.position[0]))
     count = 0
     for file in sorted(path.glob("*.mcap")):
         with file.open("rb") as stream:
-            found = make_reader(stream, validate_crcs=True).iter_messages(["/sprockets"])
-            count += sum(1 for _ in found)
+            messages = make_reader(stream, validate_crcs=True).iter_messages(["/sprockets"])
+            count += sum(1 for _ in messages)
     assert count == len(numbers)
     return numbers
 
@@ -171,7 +171,7 @@ def test_killed_at_any_moment(programs, observer, number, moment):
     program = programs.tool("trackslip", "recover", "bag")
     code = program.wait()
     assert "lost: " in program.stdout, program.stderr
-    numbers = is_strictly_readable(programs.folder / "bag_recovered")
+    numbers = read_strictly(programs.folder / "bag_recovered")
     assert numbers == list(range(len(numbers)))
     assert code == (ExitCode.DONE if numbers else ExitCode.FAILED)  # nothing was written before the kill
     lost = elapsed - sent[len(numbers)] if len(numbers) < len(sent) else 0.0
@@ -190,7 +190,7 @@ def test_recorder_writes_messages_that_wait_for_a_retransmission_at_its_end(prog
         publisher.publish(numbered(number))
     recorder.program.process.send_signal(signal.SIGCONT)
     assert recorder.program.end(signal.SIGINT)[0] == 0
-    assert is_strictly_readable(recorder.path) == list(range(MORE_THAN_A_BUFFER))
+    assert read_strictly(recorder.path) == list(range(MORE_THAN_A_BUFFER))
 
 
 def reported_and_written(programs, observer, recorder, seconds):
@@ -240,12 +240,12 @@ def test_full_disk_is_reported_and_the_bag_stays_recoverable(programs, observer)
     observer.wait_for_recorder(healths, "emulator/fault")
     noise = random.Random(1)
 
-    def is_full():
+    def full_disk_reports():
         publisher.publish(String(data=noise.randbytes(200_000).hex()))
         return [h for h in healths if h.name == "record" and "cannot write (File too large)" in h.message]
 
-    observer.wait(is_full, "the disk to be full")
-    report = is_full()[-1]
+    observer.wait(full_disk_reports, "the disk to be full")
+    report = full_disk_reports()[-1]
     assert report.level == DiagnosticStatus.ERROR
     assert "/emulator/fault lost" in {pair.key for pair in report.values}
     assert program.end()[0] == 0
@@ -261,8 +261,8 @@ def test_full_disk_is_reported_and_the_bag_stays_recoverable(programs, observer)
 def test_topics_of_others_are_recorded_by_expression(programs, observer):
     """Messages from before the recorder's start are included if their publisher keeps them."""
     node = observer.node
-    kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    latched = node.create_publisher(String, "/site/plan", kept)
+    latching = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    latched = node.create_publisher(String, "/site/plan", latching)
     latched.publish(String(data="a field"))
     plain = node.create_publisher(String, "/site/note", 10)
     node.create_publisher(String, "/other/note", 10)
@@ -272,9 +272,9 @@ def test_topics_of_others_are_recorded_by_expression(programs, observer):
     plain.publish(String(data="rain"))
     recorder.wait(lambda: recorder.count("site/note") and recorder.count("site/plan"), "both")
     assert recorder.program.end()[0] == 0
-    shown = recorder.program.stderr
-    assert "[INFO] writing " in shown
-    assert max(map(len, shown.splitlines())) <= 80, shown
+    log = recorder.program.stderr
+    assert "[INFO] writing " in log
+    assert max(map(len, log.splitlines())) <= 80, log
     with open_bag(recorder.path) as bag:
         texts = {
             m.topic: bag.deserialize(m.raw, m.type_name).data
@@ -300,7 +300,7 @@ def test_a_bag_is_split_by_time_and_read_as_one(programs, observer):
     observer.wait(enough, "four files")
     recorder.wait(lambda: recorder.count("sprockets") == sent, "all to be written")
     assert recorder.program.end()[0] == 0
-    assert is_strictly_readable(recorder.path) == list(range(sent))
+    assert read_strictly(recorder.path) == list(range(sent))
     with open_bag(recorder.path) as bag:
         assert bag.damage == ""
 

@@ -20,12 +20,12 @@ def recorder(domain: int, tmp_path: Path) -> Iterator[RecordNode]:
         yield node
 
 
-def again(node: RecordNode) -> None:
+def reactivate(node: RecordNode) -> None:
     node.trigger_deactivate()
     node.trigger_activate()
 
 
-def received(node: RecordNode, number: int, **info: Any) -> None:
+def receive(node: RecordNode, number: int, **info: Any) -> None:
     about = {"received_timestamp": number, "source_timestamp": number, "publication_sequence_number": number}
     node._write("/topic", "std_msgs/msg/String", b"\0\1\0\0\1\0\0\0\0", about | info)
 
@@ -35,8 +35,8 @@ def test_activated_again_with_output_set_it_writes_to_a_new_directory(
 ) -> None:
     for number in (1, 2, 3):
         assert recorder.active
-        received(recorder, number)
-        again(recorder)
+        receive(recorder, number)
+        reactivate(recorder)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3", "bag_4"]
     for name, number in (("bag", 1), ("bag_2", 2), ("bag_3", 3)):
         with open_bag(tmp_path / name) as bag:
@@ -45,7 +45,7 @@ def test_activated_again_with_output_set_it_writes_to_a_new_directory(
 
 def test_existing_bag_name_is_skipped(recorder: RecordNode, tmp_path: Path) -> None:
     (tmp_path / "bag_2").mkdir()
-    again(recorder)
+    reactivate(recorder)
     assert recorder.active
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3"]
 
@@ -53,9 +53,9 @@ def test_existing_bag_name_is_skipped(recorder: RecordNode, tmp_path: Path) -> N
 def test_publishers_are_counted_separately_for_each_bag(recorder: RecordNode) -> None:
     """A second publisher in the next bag has its own sequence numbers; they are no gaps."""
     recorder._raw_subscriptions.single_publisher_topics = {"/topic"}
-    again(recorder)
-    received(recorder, 1, publisher_gid=None)
-    received(recorder, 1000, publisher_gid=None)
+    reactivate(recorder)
+    receive(recorder, 1, publisher_gid=None)
+    receive(recorder, 1000, publisher_gid=None)
     assert recorder._recording.losses.total.total() == 0
 
 

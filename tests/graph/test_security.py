@@ -39,7 +39,7 @@ CONFIGURED = (
     *(BoxLocalizerNode, GnssLocalizerNode, SlipEstimatorNode, SoilEstimatorNode, EmulatorNode),
     LiveNode,
 )
-OF_PEOPLE = {"observer", "operator"}
+PEOPLE = {"observer", "operator"}
 OPTIONAL = {"/tf_static"} | (set() if find_spec("tf2_msgs") else {"/tf"})  # used if an IMU requests it
 
 
@@ -55,7 +55,7 @@ class Rights(NamedTuple):
 def read_policy() -> dict[str, Rights]:
     """{node: rights} as sros2 reads the policy: includes resolved, names made absolute."""
     common = list(ElementTree.parse(SECURITY / "node.xml").getroot())
-    found = {}
+    policy = {}
     for enclave in ElementTree.parse(SECURITY / "policy.xml").getroot().iter("enclave"):
         (profile,) = enclave.iter("profile")
         name = profile.attrib["node"]
@@ -68,8 +68,8 @@ def read_policy() -> dict[str, Rights]:
                 ((kind, allowed),) = part.attrib.items()
                 assert allowed == "ALLOW"
                 getattr(rights, kind).update(absolute(entry.text or "", name) for entry in part)
-        found[name] = rights
-    return found
+        policy[name] = rights
+    return policy
 
 
 def absolute(text: str, node: str) -> str:
@@ -96,8 +96,9 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
         "record:output": tmp_path / "bag",
     }
     arguments = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    given = ["--ros-args", *arguments]
-    rclpy.init(args=given, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        args=["--ros-args", *arguments], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
+    )
     nodes: list[Any] = [kind() for kind in CONFIGURED]
     for node in nodes:
         node.trigger_configure()
@@ -123,7 +124,7 @@ def rights_in_use(graph: Node, name: str) -> Rights:
 
 def test_policy_grants_exactly_the_rights_that_nodes_use(graph: Node) -> None:
     policy = read_policy()
-    names = set(policy) - OF_PEOPLE
+    names = set(policy) - PEOPLE
     wait_for(lambda: names <= set(graph.get_node_names()))
     assert set(graph.get_node_names()) == names
     for name in sorted(names):

@@ -99,8 +99,8 @@ def test_setup_mistake_is_reported_and_cleared_once_corrected(
     assert named.message.startswith(mistake.cause), named.message
 
     running[mistake.executable].end()
-    mended = {key: value for key, value in nodes[mistake.executable].items() if key != "roles_file"}
-    programs.node(mistake.executable, **{**mended, **mistake.right})
+    corrected = {key: value for key, value in nodes[mistake.executable].items() if key != "roles_file"}
+    programs.node(mistake.executable, **{**corrected, **mistake.right})
     began = time.monotonic()
 
     def is_well() -> bool:

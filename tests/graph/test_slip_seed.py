@@ -26,9 +26,9 @@ def test_node_accepts_seeds_and_reports_their_outcome(programs, observer):
     observer.wait_until_active("slip_estimator")
 
     def send(topic, message):
-        requested = len(reports) + 1
+        expected = len(reports) + 1
         topics[topic].publish(message)
-        observer.wait(lambda: len(reports) >= requested, f"a report on {topic}")
+        observer.wait(lambda: len(reports) >= expected, f"a report on {topic}")
         return reports[-1]
 
     send("box_pose", pose(0))

@@ -25,27 +25,27 @@ _BURST = 20  # inputs per burst; the kernel queues about 100 for a process that 
 PRESSURES = ("left_pressure", "right_pressure", "left_spool", "right_spool")
 
 
-def message_of(given):
+def message_of(soil_input):
     """The message that carries an input."""
-    if isinstance(given, Hydraulics):
-        message = TrackHydraulics(**{name: getattr(given, name) for name in PRESSURES})
+    if isinstance(soil_input, Hydraulics):
+        message = TrackHydraulics(**{name: getattr(soil_input, name) for name in PRESSURES})
     else:
-        message = MachineState(motion_state=int(given.motion))
-        message.v_x, message.v_y, message.yaw_rate = map(float, given.twist)
-        message.twist_covariance = given.twist_covariance.ravel()
-        message.x, message.y, message.heading = map(float, given.pose.mean)
-        message.pose_covariance = given.pose.covariance.ravel()
-        message.left_slip, message.right_slip, message.slip_angle = map(float, given.slips)
+        message = MachineState(motion_state=int(soil_input.motion))
+        message.v_x, message.v_y, message.yaw_rate = map(float, soil_input.twist)
+        message.twist_covariance = soil_input.twist_covariance.ravel()
+        message.x, message.y, message.heading = map(float, soil_input.pose.mean)
+        message.pose_covariance = soil_input.pose.covariance.ravel()
+        message.left_slip, message.right_slip, message.slip_angle = map(float, soil_input.slips)
         message.attitude_covariance = np.full(9, -1.0)
-        message.swing = given.swing
+        message.swing = soil_input.swing
         message.swing_covariance = np.full(
-            4, given.swing_variance if np.isfinite(given.swing_variance) else -1.0
+            4, soil_input.swing_variance if np.isfinite(soil_input.swing_variance) else -1.0
         )
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(given.stamp_ns, 1_000_000_000)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(soil_input.stamp_ns, 1_000_000_000)
     return message
 
 
-class Machine:
+class SoilNode:
     """The node, driven by the test."""
 
     def __init__(self, programs, observer, **parameters):
@@ -60,8 +60,8 @@ class Machine:
 
     def send(self, inputs):
         """Publish the inputs without waiting for outputs."""
-        for given in inputs:
-            self._topics[given.source].publish(message_of(given))
+        for soil_input in inputs:
+            self._topics[soil_input.source].publish(message_of(soil_input))
 
     def feed(self, inputs, estimator):
         """Publish in bursts and wait for each; outputs of ``estimator`` for the same inputs, by stamp."""
@@ -69,10 +69,10 @@ class Machine:
         for k in range(0, len(inputs), _BURST):
             burst = inputs[k : k + _BURST]
             self.send(burst)
-            made = [o for given in burst for o in estimator.advance(given) if hasattr(o, "thrust")]
-            outputs |= {o.stamp_ns: o for o in made}
-            requested = len(outputs)
-            self._observer.wait(lambda n=requested: len(self.forces) >= n, "forces")
+            forces = [o for one in burst for o in estimator.advance(one) if hasattr(o, "thrust")]
+            outputs |= {o.stamp_ns: o for o in forces}
+            expected = len(outputs)
+            self._observer.wait(lambda n=expected: len(self.forces) >= n, "forces")
         return outputs
 
     def until_reported(self, level, *words):
@@ -93,39 +93,39 @@ def inputs():
 
 
 def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observer, inputs):
-    machine = Machine(programs, observer)
-    outputs = machine.feed(inputs, SoilEstimator(load_soil_parameters()))
-    assert len(machine.forces) == len(outputs) > 90
-    for message in machine.forces:
-        own = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
-        assert (message.left_thrust, message.right_thrust) == own.thrust
-        assert (message.left_resistance, message.right_resistance) == own.resistance
-    assert machine.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
-    assert machine.soils[-1].header.frame_id == "base_link"
-    assert sum(machine.soils[-1].class_probabilities) == pytest.approx(1.0)
-    machine.until_reported(DiagnosticStatus.OK, "running")
+    node = SoilNode(programs, observer)
+    outputs = node.feed(inputs, SoilEstimator(load_soil_parameters()))
+    assert len(node.forces) == len(outputs) > 90
+    for message in node.forces:
+        expected = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        assert (message.left_thrust, message.right_thrust) == expected.thrust
+        assert (message.left_resistance, message.right_resistance) == expected.resistance
+    assert node.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
+    assert node.soils[-1].header.frame_id == "base_link"
+    assert sum(node.soils[-1].class_probabilities) == pytest.approx(1.0)
+    node.until_reported(DiagnosticStatus.OK, "running")
 
 
 def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, inputs):
     """Resistances equal those of the estimator with a swing, and differ from those without."""
-    machine = Machine(programs, observer, vehicle="pc05_cab")
+    node = SoilNode(programs, observer, vehicle="pc05_cab")
     swung = [
         replace(one, swing=1.5, swing_variance=1e-4) if isinstance(one, records.MachineState) else one
         for one in inputs
     ]
-    outputs = machine.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
-    assert len(machine.forces) == len(outputs) > 90
-    for message in machine.forces:
-        own = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
-        assert (message.left_resistance, message.right_resistance) == own.resistance
-    last = machine.forces[-1]
+    outputs = node.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
+    assert len(node.forces) == len(outputs) > 90
+    for message in node.forces:
+        expected = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        assert (message.left_resistance, message.right_resistance) == expected.resistance
+    last = node.forces[-1]
     assert abs(last.left_resistance) > 1.3 * abs(last.right_resistance)
 
 
 @pytest.mark.slow
 def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, observer, inputs):
-    machine = Machine(programs, observer)
-    machine.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")
+    node = SoilNode(programs, observer)
+    node.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
@@ -142,22 +142,22 @@ def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, obse
         [i for i in inputs if not isinstance(i, Hydraulics)],
         SoilEstimator(load_soil_parameters()),
     )
-    machine.feed(without[:100], estimator)
-    machine.send(bad)
-    machine.feed(without[100:], estimator)
-    machine.until_reported(DiagnosticStatus.ERROR, "hydraulics silent", "held")
-    machine.until_reported(DiagnosticStatus.ERROR, "slip estimator silent")
-    code, _ = machine.program.end(signal.SIGINT)
+    node.feed(without[:100], estimator)
+    node.send(bad)
+    node.feed(without[100:], estimator)
+    node.until_reported(DiagnosticStatus.ERROR, "hydraulics silent", "held")
+    node.until_reported(DiagnosticStatus.ERROR, "slip estimator silent")
+    code, _ = node.program.end(signal.SIGINT)
     assert code == 0
-    assert machine.program.stderr.count("Traceback") == 0
+    assert node.program.stderr.count("Traceback") == 0
 
 
 def test_only_the_limits_of_the_warning_change_at_run_time(programs, observer):
-    Machine(programs, observer)
+    SoilNode(programs, observer)
     for name, value, accepted in (
         ("stuck_time", 2.0, True),
         ("high_slip", 2.0, False),
         ("vehicle.mass.mass", 1.0, False),
     ):
-        (found,) = observer.set_parameters("soil_estimator", **{name: value})
-        assert found.successful is accepted, name
+        (result,) = observer.set_parameters("soil_estimator", **{name: value})
+        assert result.successful is accepted, name

@@ -49,17 +49,17 @@ def with_tf2(programs, tf2_environment):
 
 def test_an_imu_is_mounted_as_tf_static_states(with_tf2, observer):
     turning, healths = Turning(observer), observer.healths()
-    odometry, stated = observer.subscribe("odometry"), observer.subscribe("slip_estimator/parameters")
+    odometry, parameters = observer.subscribe("odometry"), observer.subscribe("slip_estimator/parameters")
     with_tf2.node("slip_estimator", sources__imu_data_raw__mounting_from_tf=True)
     for topic in ("sprockets", "box_pose", "imu/data_raw"):
         observer.wait_for_ends(topic, "observer", "slip_estimator")
     turning.drive(20)
 
     def counted():
-        own = [pair.value for h in healths for pair in h.values if pair.key == REFUSED]
-        return own and own[-1] == "20"
+        counts = [pair.value for h in healths for pair in h.values if pair.key == REFUSED]
+        return counts and counts[-1] == "20"
 
-    observer.wait(counted, "twenty readings that nobody knows how to turn")
+    observer.wait(counted, "twenty readings without a transform")
     assert turning.gyro() == []
 
     peer = with_tf2.python(str(PEER))
@@ -74,7 +74,7 @@ def test_an_imu_is_mounted_as_tf_static_states(with_tf2, observer):
     turning.drive(50)
     assert set(turning.gyro()) == {MeasurementReport.ACCEPTED}
     assert odometry[-1].twist.twist.angular.z == pytest.approx(RATE, abs=0.02)
-    assert "mounting_yaw: 1.57" in stated[-1].data
+    assert "mounting_yaw: 1.57" in parameters[-1].data
 
     def chain():
         lines = [line.split() for line in peer.stdout.splitlines()]

@@ -26,7 +26,7 @@ def links(name):
 @pytest.mark.parametrize("steps", [60, pytest.param(3000, marks=pytest.mark.slow)])  # 1 s, 60 s
 def test_two_machines_side_by_side(programs, observer, steps):
     healths, transforms = observer.healths(), subscribe_tf(observer)
-    found, local, reports = (
+    odometry, local, reports = (
         {name: observer.subscribe(f"/{name}/{topic}", topic) for name in MACHINES}
         for topic in ("odometry", "odometry/local", "measurement_reports")
     )
@@ -52,9 +52,9 @@ def test_two_machines_side_by_side(programs, observer, steps):
             if step == 0:
                 observer.wait(lambda name=name: reports[name], f"a report of {name}")
                 publishers[name][1].publish(pose(0, speed))
-        observer.wait(lambda step=step: all(len(of) == step + 2 for of in reports.values()), "all reports")
+        observer.wait(lambda step=step: all(len(r) == step + 2 for r in reports.values()), "all reports")
     for name, speed in MACHINES.items():
-        last, driven = found[name][-1], 0.35 * speed * (steps - 1) * STEP_MS * 1e-3
+        last, driven = odometry[name][-1], 0.35 * speed * (steps - 1) * STEP_MS * 1e-3
         assert abs(last.pose.pose.position.x - speed - driven) < 0.05
         assert (last.header.frame_id, last.child_frame_id) == ("map", f"{name}/base_link")
         assert (local[name][-1].header.frame_id, local[name][-1].child_frame_id) == (
@@ -63,8 +63,8 @@ def test_two_machines_side_by_side(programs, observer, steps):
         )
     chains = {(t.header.frame_id, t.child_frame_id) for message in transforms for t in message.transforms}
     assert chains in (set(), links("one") | links("two"))
-    requested = {f"{name}/{node}" for name in MACHINES for node in NODES}
-    observer.wait(lambda: requested <= {status.name for status in healths}, "diagnostics of all four")
+    expected = {f"{name}/{node}" for name in MACHINES for node in NODES}
+    observer.wait(lambda: expected <= {status.name for status in healths}, "diagnostics of all four")
     assert "slip_estimator" not in {status.name for status in healths}
     for name, recorder in running.items():
         assert recorder.end()[0] == 0

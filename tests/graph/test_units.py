@@ -68,14 +68,14 @@ def test_command_works_for_half_a_minute_with_kernels_of_its_own(
     healths = observer.healths()
     program = started(programs, unit)
 
-    def waking() -> set[str]:
+    def not_active() -> set[str]:
         """Nodes that have not reported to be active; a compiling node does not answer requests."""
         active = {
             h.name for h in healths if h.message != "inactive" and not h.message.startswith("compiling")
         }
         return {*NODES[unit]} - active
 
-    observer.wait(lambda: not waking(), "all nodes to be active", deadline=1500.0)
+    observer.wait(lambda: not not_active(), "all nodes to be active", deadline=1500.0)
     until = time.monotonic() + 30.0
     observer.wait(lambda: time.monotonic() > until, "30 s")
     assert [node for node in NODES[unit] if observer.state(f"/{node}") != "active"] == []
@@ -85,7 +85,7 @@ def test_command_works_for_half_a_minute_with_kernels_of_its_own(
 
 
 @confined
-def test_only_the_directories_of_the_unit_are_writable(tmp_path: Path) -> None:
+def test_only_the_directories_of_the_unit_are_writable() -> None:
     unit = Unit(SYSTEMD / "trackslip-record.service")
     places = [
         "/etc",

@@ -102,12 +102,12 @@ def test_rclpy_still_reports_dropped_answers_in_these_words():
 
 
 def test_answers_dropped_by_the_middleware_are_counted(speaker):
-    with warnings.catch_warnings(record=True) as shown:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore", RuntimeWarning)  # rcl's other warnings are ignored as well
         speaker.send_failures.count_lost_responses()
         for text in (DROPPED, DROPPED, "something else"):
             warnings.warn(text, RuntimeWarning if text == DROPPED else UserWarning, stacklevel=1)
-    assert [str(warning.message) for warning in shown] == ["something else"]
+    assert [str(warning.message) for warning in caught] == ["something else"]
     (health,) = speaker.send_failures.health()
     assert health.values == {"not sent: answers": 2}
 

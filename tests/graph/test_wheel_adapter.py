@@ -28,11 +28,11 @@ def test_four_wheels(programs, observer):
     received = observer.subscribe("sprockets")
     message = JointState(name=WHEELS, position=[2.0, 4.0, 4.0, 8.0], velocity=[1.0, 2.0, 1.0, 2.0])
     message.header.stamp.sec = 17
-    found = send(observer, JointState, "joint_states", message, received)
-    assert list(found.name) == ["left_sprocket", "right_sprocket"]
-    assert list(found.position) == [1.5, 3.0]
-    assert list(found.velocity) == [0.5, 1.0]
-    assert found.header.stamp.sec == 17
+    sprockets = send(observer, JointState, "joint_states", message, received)
+    assert list(sprockets.name) == ["left_sprocket", "right_sprocket"]
+    assert list(sprockets.position) == [1.5, 3.0]
+    assert list(sprockets.velocity) == [0.5, 1.0]
+    assert sprockets.header.stamp.sec == 17
 
 
 @pytest.mark.parametrize("kind", [Odometry, Twist])
@@ -44,6 +44,6 @@ def test_base_controller(programs, observer, kind):
     message = kind()
     twist = message.twist.twist if kind is Odometry else message
     twist.linear.x, twist.angular.z = 1.0, 0.5
-    found = send(observer, kind, "base", message, received)
-    assert list(found.velocity) == pytest.approx([1.5, 2.5])
-    assert (found.header.stamp.sec > 0) == (kind is Twist)
+    sprockets = send(observer, kind, "base", message, received)
+    assert list(sprockets.velocity) == pytest.approx([1.5, 2.5])
+    assert (sprockets.header.stamp.sec > 0) == (kind is Twist)

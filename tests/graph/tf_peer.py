@@ -15,18 +15,18 @@ LINKS = {("base_link", "mast"): (0.0, math.pi / 2.0), ("mast", "imu_link"): (mat
 
 
 def link(parent: str, child: str, roll: float, yaw: float) -> TransformStamped:
-    found = TransformStamped(child_frame_id=child)
-    found.header.frame_id = parent
-    q = found.transform.rotation  # of R_z(yaw) R_x(roll)
+    transform = TransformStamped(child_frame_id=child)
+    transform.header.frame_id = parent
+    q = transform.transform.rotation  # of R_z(yaw) R_x(roll)
     q.x, q.y = math.cos(yaw / 2.0) * math.sin(roll / 2.0), math.sin(yaw / 2.0) * math.sin(roll / 2.0)
     q.z, q.w = math.sin(yaw / 2.0) * math.cos(roll / 2.0), math.cos(yaw / 2.0) * math.cos(roll / 2.0)
-    return found
+    return transform
 
 
 def print_links(message: TFMessage) -> None:
-    for found in message.transforms:
-        z, w = found.transform.rotation.z, found.transform.rotation.w
-        print(found.header.frame_id, found.child_frame_id, 2.0 * math.atan2(z, w), flush=True)
+    for transform in message.transforms:
+        z, w = transform.transform.rotation.z, transform.transform.rotation.w
+        print(transform.header.frame_id, transform.child_frame_id, 2.0 * math.atan2(z, w), flush=True)
 
 
 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -25,88 +25,88 @@ TOPIC = "imu/data_raw"
 
 
 @compiled
-def follow(attitude: Any, samples: Any, n: Any, found: FloatArray) -> None:
-    """Run the filter over all samples; write its means to ``found`` (k, 7)."""
+def filter_samples(attitude: Any, samples: Any, n: Any, means: FloatArray) -> None:
+    """Run the filter over all samples; write its means to ``means`` (k, 7)."""
     for k in range(samples.size):
         propagate_height(attitude[0], samples[k].velocity[0], samples[k].velocity[1], 0.01)
         attitude[0].sample = samples[k]
         update_with_sample(attitude[0], n[0])
-        found[k] = attitude[0].mean
+        means[k] = attitude[0].mean
 
 
 @compiled
-def forget(attitude: Any) -> None:
+def reset(attitude: Any) -> None:
     reset_attitude(attitude[0])
 
 
 class Ride:
     """IMU at 100 Hz on a machine with given roll, pitch, yaw rate and speed over time."""
 
-    def __init__(self, seconds: float, seed: int = 0, **of_time: Any) -> None:
+    def __init__(self, seconds: float, seed: int = 0, **motion: Any) -> None:
         self.t = np.arange(round(seconds * 100)) * 0.01
         zero = np.zeros_like(self.t)
-        given = {name: np.broadcast_to(value, zero.shape) for name, value in of_time.items()}
-        self.roll, self.pitch = given.get("roll", zero), given.get("pitch", zero)
-        self.yaw_rate, self.speed = given.get("yaw_rate", zero), given.get("speed", zero)
+        columns = {name: np.broadcast_to(value, zero.shape) for name, value in motion.items()}
+        self.roll, self.pitch = columns.get("roll", zero), columns.get("pitch", zero)
+        self.yaw_rate, self.speed = columns.get("yaw_rate", zero), columns.get("speed", zero)
         self.random = np.random.default_rng(seed)
 
     def samples(
         self, noise: float = 0.05, gyro: float = 0.003, gyro_bias: float = 0.0, bias: float = 0.0
     ) -> NDArray[np.void]:
         """(n,) of ``IMU``; rates follow from the angles (ZYX), forces from the motion."""
-        found = np.zeros(len(self.t), IMU)
+        samples = np.zeros(len(self.t), IMU)
         sin, cos = np.sin(self.roll), np.cos(self.roll)
-        of_roll, of_pitch = np.gradient(self.roll, 0.01), np.gradient(self.pitch, 0.01)
-        p = of_roll - self.yaw_rate * np.sin(self.pitch)
-        q = of_pitch * cos + self.yaw_rate * sin * np.cos(self.pitch)
-        r = self.yaw_rate * cos * np.cos(self.pitch) - of_pitch * sin
-        found["stamp_ns"] = np.round(self.t * 1e9).astype(np.int64) + 1
-        found["rates"] = np.column_stack((p + gyro_bias, q - gyro_bias, r))
-        found["rates"][:, :2] += self.random.normal(0.0, gyro, (len(self.t), 2))
-        found["rate_variances"] = gyro**2
+        roll_rate, pitch_rate = np.gradient(self.roll, 0.01), np.gradient(self.pitch, 0.01)
+        p = roll_rate - self.yaw_rate * np.sin(self.pitch)
+        q = pitch_rate * cos + self.yaw_rate * sin * np.cos(self.pitch)
+        r = self.yaw_rate * cos * np.cos(self.pitch) - pitch_rate * sin
+        samples["stamp_ns"] = np.round(self.t * 1e9).astype(np.int64) + 1
+        samples["rates"] = np.column_stack((p + gyro_bias, q - gyro_bias, r))
+        samples["rates"][:, :2] += self.random.normal(0.0, gyro, (len(self.t), 2))
+        samples["rate_variances"] = gyro**2
         force = np.column_stack((-np.sin(self.pitch), sin * np.cos(self.pitch), cos * np.cos(self.pitch)))
         force *= GRAVITY
         force[:, 0] += np.gradient(self.speed, 0.01) + bias
         force[:, 1] += r * self.speed
         force[:, 2] -= q * self.speed
-        found["force"] = force + self.random.normal(0.0, noise, force.shape)
-        found["force_variance"] = 0.05**2
-        found["velocity"][:, 0], found["known_velocity"], found["levels"] = self.speed, 1, 1
-        return found
+        samples["force"] = force + self.random.normal(0.0, noise, force.shape)
+        samples["force_variance"] = 0.05**2
+        samples["velocity"][:, 0], samples["known_velocity"], samples["levels"] = self.speed, 1, 1
+        return samples
 
 
 def run(samples: NDArray[np.void]) -> tuple[Any, FloatArray]:
-    attitude, found = np.zeros(1, ATTITUDE), np.empty((len(samples), 7))
-    forget(attitude)
-    follow(attitude, samples, N, found)
-    return attitude[0], found
+    attitude, means = np.zeros(1, ATTITUDE), np.empty((len(samples), 7))
+    reset(attitude)
+    filter_samples(attitude, samples, N, means)
+    return attitude[0], means
 
 
-def errors(ride: Ride, found: FloatArray, after: float = 5.0) -> float:
+def rms_error(ride: Ride, means: FloatArray, after: float = 5.0) -> float:
     """RMS error of roll and pitch, degrees."""
     late = ride.t > after
-    both = np.column_stack((found[:, ROLL] - ride.roll, found[:, PITCH] - ride.pitch))[late]
+    both = np.column_stack((means[:, ROLL] - ride.roll, means[:, PITCH] - ride.pitch))[late]
     return math.degrees(float(np.sqrt((both**2).mean())))
 
 
-def spread(attitude: Any, k: int) -> float:
+def stddev(attitude: Any, k: int) -> float:
     return float(np.sqrt(attitude["covariance"][k, k]))
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.26, 0.0), (0.0, -0.26), (-0.2, 0.3)])
 def test_tilt_at_standstill_is_right_within_0_2_degrees(roll: float, pitch: float) -> None:
     ride = Ride(20.0, roll=roll, pitch=pitch)
-    attitude, found = run(ride.samples(gyro_bias=0.008))
-    assert errors(ride, found) < 0.2
-    assert spread(attitude, ROLL) > math.radians(0.25)  # a bias of 0.05 m/s² has the same effect
+    attitude, means = run(ride.samples(gyro_bias=0.008))
+    assert rms_error(ride, means) < 0.2
+    assert stddev(attitude, ROLL) > math.radians(0.25)  # a bias of 0.05 m/s² has the same effect
 
 
 def test_tilt_error_of_an_accelerometer_bias_is_within_the_covariance() -> None:
     ride = Ride(20.0, pitch=0.1)
-    attitude, found = run(ride.samples(bias=0.05))
-    off = abs(found[-1, PITCH] - 0.1)
+    attitude, means = run(ride.samples(bias=0.05))
+    off = abs(means[-1, PITCH] - 0.1)
     assert off == pytest.approx(0.05 / GRAVITY, rel=0.3)
-    assert off < 2.0 * spread(attitude, PITCH)
+    assert off < 2.0 * stddev(attitude, PITCH)
 
 
 def test_turns_separate_a_bias_from_a_tilt() -> None:
@@ -122,14 +122,14 @@ def test_turns_separate_a_bias_from_a_tilt() -> None:
     )
     attitude, _ = run(ride.samples(bias=0.05))
     assert attitude["mean"][BIAS_X] == pytest.approx(0.05, abs=0.02)
-    assert spread(attitude, PITCH) < math.radians(0.2)
+    assert stddev(attitude, PITCH) < math.radians(0.2)
 
 
 def test_accelerating_and_turning_do_not_tilt_the_estimate() -> None:
     t = np.arange(4000) * 0.01
     ride = Ride(40.0, speed=0.5 * np.abs(np.sin(0.5 * t)), yaw_rate=0.4 * np.sin(0.3 * t))
-    _, found = run(ride.samples())
-    assert errors(ride, found) < 0.2
+    _, means = run(ride.samples())
+    assert rms_error(ride, means) < 0.2
 
 
 def test_attitude_and_height_follow_a_hill() -> None:
@@ -137,17 +137,17 @@ def test_attitude_and_height_follow_a_hill() -> None:
     ride = Ride(
         60.0, speed=np.where(t > 5.0, 0.5, 0.0), pitch=-0.26 * np.sin(0.2 * np.clip(t - 8.0, 0.0, None))
     )
-    _, found = run(ride.samples())
-    assert errors(ride, found) < 0.5
+    _, means = run(ride.samples())
+    assert rms_error(ride, means) < 0.5
     climbed = np.cumsum(-ride.speed * np.sin(ride.pitch)) * 0.01
-    assert np.abs(found[:, HEIGHT] - climbed).max() < 0.01 * float(np.abs(climbed).max()) + 0.01
+    assert np.abs(means[:, HEIGHT] - climbed).max() < 0.01 * float(np.abs(climbed).max()) + 0.01
 
 
 def test_attitude_under_vibration_follows_the_gyro() -> None:
     t = np.arange(6000) * 0.01
     ride = Ride(60.0, roll=0.2 * np.sin(0.2 * t), pitch=0.1 * np.sin(0.3 * t))
-    attitude, found = run(ride.samples(noise=3.0))
-    assert errors(ride, found, after=10.0) < 0.5
+    attitude, means = run(ride.samples(noise=3.0))
+    assert rms_error(ride, means, after=10.0) < 0.5
     assert attitude["noise"] == pytest.approx(9.0 / 8.0, rel=0.5)  # noise of the mean of eight samples
 
 
@@ -155,7 +155,7 @@ def test_attitude_without_roll_and_pitch_gyros_follows_the_accelerometers() -> N
     ride = Ride(20.0, roll=0.1)
     samples = ride.samples()
     samples["rates"][:, :2] = np.nan
-    assert errors(ride, run(samples)[1]) < 0.5
+    assert rms_error(ride, run(samples)[1]) < 0.5
 
 
 @pytest.mark.parametrize(
@@ -171,9 +171,9 @@ def test_attitude_without_roll_and_pitch_gyros_follows_the_accelerometers() -> N
 def test_acceleration_that_is_not_gravity_leaves_the_ground_flat(force: Any, words: str) -> None:
     samples = Ride(5.0).samples()
     samples["force"] = force
-    attitude, found = run(samples)
+    attitude, means = run(samples)
     assert attitude["known"] == attitude["level"]["tilted"] == 0
-    assert not found.any()
+    assert not means.any()
     text = attitude_text(attitude, TOPIC)
     assert text.startswith("flat: ")
     assert words in text
@@ -184,10 +184,10 @@ def test_attitude_variance_grows_without_accelerations() -> None:
     ride = Ride(100.0, roll=0.2)
     samples = ride.samples(gyro_bias=0.005)
     samples["force"][1000:] = np.nan
-    attitude, found = run(samples)
+    attitude, means = run(samples)
     before = run(samples[:1000])[0]
-    assert spread(attitude, ROLL) > 2.0 * spread(before, ROLL)
-    assert abs(found[-1, ROLL] - 0.2) < 3.0 * spread(attitude, ROLL)
+    assert stddev(attitude, ROLL) > 2.0 * stddev(before, ROLL)
+    assert abs(means[-1, ROLL] - 0.2) < 3.0 * stddev(attitude, ROLL)
 
 
 def test_missing_imu_is_reported_as_flat_ground() -> None:
@@ -206,19 +206,19 @@ def test_speed_noise_at_100_hz_is_not_taken_for_vibration() -> None:
     """Fixes and rounding change the speed by some cm/s; the pitch must not follow the gyro."""
     ride = Ride(60.0, speed=np.clip(np.arange(6000) * 0.01 - 3.0, 0.0, 0.5))
     samples = ride.samples(gyro_bias=0.0015)
-    errs = np.random.default_rng(2).normal(0.0, 0.02, len(samples))
-    samples["velocity"][:, 0] += np.where(ride.speed > 0.0, errs, 0.0)
-    attitude, found = run(samples)
-    assert np.abs(found[1000:, PITCH]).max() < math.radians(0.2)  # 0.56 if taken for vibration
-    assert spread(attitude, PITCH) < math.radians(0.4)  # 0.85 likewise
+    noise = np.random.default_rng(2).normal(0.0, 0.02, len(samples))
+    samples["velocity"][:, 0] += np.where(ride.speed > 0.0, noise, 0.0)
+    attitude, means = run(samples)
+    assert np.abs(means[1000:, PITCH]).max() < math.radians(0.2)  # 0.56 if taken for vibration
+    assert stddev(attitude, PITCH) < math.radians(0.4)  # 0.85 likewise
 
 
 def test_samples_of_a_span_count_as_their_mean() -> None:
     """While the ground tilts, the mean force belongs to the mean tilt, not to that at the end of the span."""
     t = np.arange(3000) * 0.01
     ride = Ride(30.0, pitch=0.1 * np.sin(1.5 * t))
-    _, found = run(ride.samples(noise=0.0, gyro=1e-5))
-    assert np.abs(found[500:, PITCH] - ride.pitch[500:]).max() < 1e-3
+    _, means = run(ride.samples(noise=0.0, gyro=1e-5))
+    assert np.abs(means[500:, PITCH] - ride.pitch[500:]).max() < 1e-3
 
 
 @pytest.mark.parametrize("rate", [12.0, 50.0])
@@ -227,5 +227,5 @@ def test_message_without_acceleration_does_not_restart_the_span(rate: float) -> 
     every = round(100.0 / rate)
     samples = Ride(30.0, pitch=0.1).samples()[::every]
     samples["force"][1::2] = np.nan
-    _, found = run(samples)
-    assert np.abs(found[-1, PITCH] - 0.1) < 0.005
+    _, means = run(samples)
+    assert np.abs(means[-1, PITCH] - 0.1) < 0.005

@@ -15,17 +15,17 @@ def fixes():
     """About 2500 fixes, from four headings; half of the drives stay in view and keep their heading."""
     kinds = ({"farthest": 36.0, "hides": True}, {"farthest": 26.0, "hides": False})
     drives = [scored_drive(seed, 70.0, seed % 4 * np.pi / 2.0, **kinds[seed // 4]) for seed in range(8)]
-    return [fix for found, _ in drives for fix in found]
+    return [fix for scored, _ in drives for fix in scored]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CLASSES)
 def test_errors_of_position_and_heading_agree_with_their_covariance(fixes, name):
     low, high = CLASSES[name]
-    seen = [fix for fix in fixes if low <= fix.beams < high]
-    headings = [fix.heading for fix in seen if fix.claims_heading]
+    chosen = [fix for fix in fixes if low <= fix.beams < high]
+    headings = [fix.heading for fix in chosen if fix.claims_heading]
     assert len(headings) > LEAST
-    assert 0.7 < np.mean([fix.position for fix in seen]) / 2.0 < 1.5
+    assert 0.7 < np.mean([fix.position for fix in chosen]) / 2.0 < 1.5
     assert 0.7 < np.mean(headings) < 1.5
 
 

@@ -24,7 +24,7 @@ ANGLES = -np.pi / 2.0 + np.pi / 360.0 * np.arange(361)
 HEADINGS = np.linspace(-0.7, 0.7, 13)
 
 
-def seen(pose):
+def box_ranges(pose):
     """Noise-free ranges (361,) of a box alone."""
     ranges, outline = ray_cast(pose[np.newaxis], BOX, ANGLES)
     return np.where((outline[0, 0] <= ANGLES) & (outline[0, 1] >= ANGLES), ranges[0], np.inf)
@@ -63,16 +63,16 @@ def test_rays_end_on_the_outline_of_the_rectangle():
 
 def test_residuals_vanish_at_the_truth_but_for_the_ends():
     pose = np.array([6.0, 1.0, 0.4])
-    (values,) = costs(pose[np.newaxis], fit_input(BOX, beams_of(seen(pose)), 0.01))
+    (values,) = costs(pose[np.newaxis], fit_input(BOX, beams_of(box_ranges(pose)), 0.01))
     assert values[:-2] == pytest.approx(0.0, abs=1e-18)
     assert np.all(values[-2:] <= 3.0)
 
 
 def test_a_cost_is_the_sum_that_numpy_makes_of_its_parts():
     pose = np.array([[1.2, 0.1, 0.4]])
-    beams = beams_of(seen(pose[0]))
-    sought = fit_input(BOX, beams, 0.01)
-    assert total_cost(pose[0], sought) == costs(pose, sought).sum()
+    beams = beams_of(box_ranges(pose[0]))
+    inputs = fit_input(BOX, beams, 0.01)
+    assert total_cost(pose[0], inputs) == costs(pose, inputs).sum()
     values = np.random.default_rng(1).lognormal(size=700)
     assert all(pairwise_sum(values[:count]) == values[:count].sum() for count in range(len(values)))
 
@@ -80,18 +80,18 @@ def test_a_cost_is_the_sum_that_numpy_makes_of_its_parts():
 @pytest.mark.parametrize("heading", [0.5, 0.9, -0.6, 2.3])
 def test_exact_without_noise_where_two_sides_are_seen(heading):
     pose = np.array([3.0, 0.4, heading])
-    estimate, _ = fitted(seen(pose), heading + 0.1, 1e-4)
+    estimate, _ = fitted(box_ranges(pose), heading + 0.1, 1e-4)
     assert estimate == pytest.approx(pose, abs=2e-3)
 
 
 def test_heading_turns_with_the_start():
-    ranges = seen(np.array([4.0, 0.0, 0.5]))
+    ranges = box_ranges(np.array([4.0, 0.0, 0.5]))
     estimate, _ = fitted(ranges, 0.5 + np.pi, 0.01)
     assert estimate[2] == pytest.approx(0.5 + np.pi, abs=0.05)
 
 
 def test_one_edge_with_hidden_ends_is_uncertain_along_the_edge_only():
-    ranges = seen(np.array([5.0, 0.0, 0.0]))
+    ranges = box_ranges(np.array([5.0, 0.0, 0.0]))
     side = np.flatnonzero(np.isfinite(ranges))
     ranges[side[0] - 6 : side[4]] = 3.0
     ranges[side[-4] : side[-1] + 7] = 3.0
@@ -102,14 +102,14 @@ def test_one_edge_with_hidden_ends_is_uncertain_along_the_edge_only():
 
 
 def test_one_edge_with_free_ends_is_as_certain_as_the_spacing_allows():
-    _, covariance = fitted(seen(np.array([5.0, 0.0, 0.0])), 0.0, 0.01)
+    _, covariance = fitted(box_ranges(np.array([5.0, 0.0, 0.0])), 0.0, 0.01)
     spacing = 5.0 * np.pi / 360.0
     assert 0.1 * spacing < np.sqrt(covariance[1, 1]) < 0.5 * spacing
 
 
 def test_beams_that_go_on_behind_are_counted():
     pose = np.array([5.0, 0.0, 0.0])
-    ranges = seen(pose)
+    ranges = box_ranges(pose)
     assert count_beams_through(pose, BOX, ranges, ANGLES, 0.1) == 0
     ranges[178:182] = 9.0
     assert count_beams_through(pose, BOX, ranges, ANGLES, 0.1) == 4
@@ -119,7 +119,7 @@ def test_covariance_is_symmetric_and_positive_definite_and_repeatable():
     random = np.random.default_rng(3)
     for _ in range(20):
         pose = random.uniform([2.0, -4.0, -3.1], [10.0, 4.0, 3.1])
-        ranges = seen(pose) + 0.02 * random.standard_normal(361)
+        ranges = box_ranges(pose) + 0.02 * random.standard_normal(361)
         first, covariance = fitted(ranges, pose[2], 0.02)
         again, _ = fitted(ranges, pose[2], 0.02)
         assert np.array_equal(first, again)
@@ -134,8 +134,8 @@ from trackslip_estimation.box import fit, measurement_model
 from trackslip_estimation.box.clusters import object_beams
 
 def signatures():
-    found = {**vars(fit), **vars(measurement_model)}
-    return {name: list(f.signatures) for name, f in found.items() if isinstance(f, Dispatcher)}
+    functions = {**vars(fit), **vars(measurement_model)}
+    return {name: list(f.signatures) for name, f in functions.items() if isinstance(f, Dispatcher)}
 
 fit.compile_fit()
 before = signatures()

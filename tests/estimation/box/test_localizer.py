@@ -104,15 +104,13 @@ def test_a_post_that_touches_the_box_is_not_taken_for_a_part_of_it(side):
 
     site = dataclasses.replace(BARE, posts=(0.0, side * 0.42, 0.15))
     parameters = dataclasses.replace(PARAMETERS, initial_x=-1.4)
-    found = drive(BoxLocalizer(parameters, BOX), SiteScanner(site, BOX, seed=9), past, 120)
-    fixes = [fix for fix in found if isinstance(fix, BoxFix)]
+    outcomes = drive(BoxLocalizer(parameters, BOX), SiteScanner(site, BOX, seed=9), past, 120)
+    fixes = [fix for fix in outcomes if isinstance(fix, BoxFix)]
     assert len(fixes) >= 110
     errors = np.array([error(fix, past) for fix in fixes])
-    squared = [
-        e[:2] @ np.linalg.solve(f.covariance[:2, :2], e[:2]) for e, f in zip(errors, fixes, strict=True)
-    ]
-    assert np.mean(squared) < 3.0
-    assert np.max(squared) < 25.0
+    nees = [e[:2] @ np.linalg.solve(f.covariance[:2, :2], e[:2]) for e, f in zip(errors, fixes, strict=True)]
+    assert np.mean(nees) < 3.0
+    assert np.max(nees) < 25.0
 
 
 def test_jump_of_the_box_is_gated():
@@ -151,10 +149,10 @@ def test_partly_hidden_box_is_located_with_larger_covariance():
     assert split.covariance[:2, :2].trace() < half.covariance[:2, :2].trace()
 
 
-def seen_again(pose_at, scans, hidden_for, seed=11):
+def seen_again(pose_at, scans, hidden_for):
     """Outcomes after the box is followed for 10 scans and hidden for ``hidden_for``."""
     localizer = BoxLocalizer(PARAMETERS, BOX)
-    scanner = SiteScanner(BARE, BOX, seed=seed)
+    scanner = SiteScanner(BARE, BOX, seed=11)
     drive(localizer, scanner, pose_at, 10)
     change = {"change": lambda _, ranges: hidden(ranges, 0, 361)}
     blind = drive(localizer, scanner, pose_at, hidden_for, first=10, **change)
@@ -180,21 +178,21 @@ def test_sides_are_uncertain_when_the_box_is_back_in_sight():
         for outcome in drive(localizer, scanner, turned, 80, first=32):
             assert isinstance(outcome, BoxFix)
             assert outcome.covariance[2, 2] > CEILING**2  # half a turn stays ambiguous
-            miss = error(outcome, turned)
-            assert np.all(np.abs(miss) < 4.0 * np.sqrt(np.diag(outcome.covariance)))
-        assert abs(np.sin(miss[2])) < 0.2  # a quarter turn does not
+            deviation = error(outcome, turned)
+            assert np.all(np.abs(deviation) < 4.0 * np.sqrt(np.diag(outcome.covariance)))
+        assert abs(np.sin(deviation[2])) < 0.2  # a quarter turn does not
 
 
 def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
     """The box comes into view at −90° beam by beam: its far end and its centre are unknown."""
     parameters = dataclasses.replace(PARAMETERS, laser_x=0.0, laser_y=0.0, laser_yaw=0.0, initial_y=-3.0)
     scanner = SiteScanner(dataclasses.replace(BARE, laser_x=0.0, laser_y=0.0, laser_yaw=0.0), BOX, seed=3)
-    seen = standing(-0.33, -2.6, -1.1)
+    pose_at = standing(-0.33, -2.6, -1.1)
     fix = locate(
-        BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), BOX), 1.0, scanner.scan(1.0, seen)
+        BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), BOX), 1.0, scanner.scan(1.0, pose_at)
     )
-    miss = error(fix, seen)
-    assert miss @ np.linalg.solve(fix.covariance, miss) < 16.0
+    deviation = error(fix, pose_at)
+    assert deviation @ np.linalg.solve(fix.covariance, deviation) < 16.0
     assert np.linalg.eigvalsh(fix.covariance[:2, :2])[1] > 0.05**2
 
 

@@ -22,24 +22,22 @@ QUARTERS = np.pi / 2.0 * np.arange(4)
 NARROW = np.diag([0.01, 0.01, 0.03]) ** 2
 
 
-def modes(log_odds=0.0, covariance=NARROW):
+def modes(log_odds=0.0):
     """Modes about heading 0. The odd ones are shifted by 5 cm and have ``log_odds`` against the others."""
-    return [
-        Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), covariance, log_odds * (k % 2)) for k in range(4)
-    ]
+    return [Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), NARROW, log_odds * (k % 2)) for k in range(4)]
 
 
-def listened(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
-    """Fixes, weights and evidence after ``scans`` scans, each ``moved`` m from the one before."""
-    weights = None
+def after_scans(log_odds, scans, *, moved=0.0):
+    """Modes, weights and headings after ``scans`` scans from ``OPEN``, each ``moved`` m from the last."""
+    headings, weights = OPEN, None
     for k in range(scans):
-        given_modes = modes(log_odds)
-        for mode in given_modes:
+        scan_modes = modes(log_odds)
+        for mode in scan_modes:
             mode.pose[0] += k * moved
-        received, weights, headings = headings.update(given_modes, 0.0, stddev**2, step=0.1)
-        if abs(received[0].pose[2]) > 0.1:
-            return received, weights, headings
-    return received, weights, headings
+        ordered_modes, weights, headings = headings.update(scan_modes, 0.0, 0.05**2, step=0.1)
+        if abs(ordered_modes[0].pose[2]) > 0.1:
+            return ordered_modes, weights, headings
+    return ordered_modes, weights, headings
 
 
 def test_heading_predicted_well_leaves_no_ambiguity():
@@ -70,32 +68,32 @@ OPEN = Headings(np.array([0.5, 0.2, 0.2, 0.1]), SideEvidence())
 
 @pytest.mark.parametrize("scans", [1, 5])
 def test_sides_are_not_settled_within_a_second_however_accurate_the_scans_are(scans):
-    _, weights, headings = listened(OPEN, -50.0, scans, moved=0.2)
+    _, weights, headings = after_scans(-50.0, scans, moved=0.2)
     assert headings.weights[1] > 0.1
     assert weights[1] > NEGLIGIBLE_PROBABILITY
 
 
 def test_many_scans_settle_the_sides_and_leave_half_a_turn_open():
-    _, weights, headings = listened(OPEN, -3.0, 15, moved=0.2)
+    _, weights, headings = after_scans(-3.0, 15, moved=0.2)
     assert headings.weights == pytest.approx([5.0 / 7.0, 0.0, 2.0 / 7.0, 0.0], abs=1e-6)
     assert weights == pytest.approx(headings.weights)
 
 
 def test_wrong_prior_of_the_sides_is_corrected():
-    received, _, headings = listened(OPEN, 3.0, 15, moved=0.2)
-    assert abs(np.sin(received[0].pose[2])) == pytest.approx(1.0)
+    ordered_modes, _, headings = after_scans(3.0, 15, moved=0.2)
+    assert abs(np.sin(ordered_modes[0].pose[2])) == pytest.approx(1.0)
     assert headings.evidence.log_odds < 0.0
 
 
 def test_scans_from_one_place_count_as_one_piece_of_evidence():
     """The same beams hit and miss in each scan: 100 scans with a ratio of 1 : 2 count as one."""
-    assert listened(OPEN, -0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
+    assert after_scans(-0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
     assert SideEvidence().update(0.5, np.zeros(3), 0.1).rotate_quarter().log_odds == -0.5
 
 
 def test_absence_forgets_the_evidence():
-    received = listened(OPEN, -0.7, 5, moved=0.2)[2]
-    _, _, lost = received.update(modes(), 0.0, 1.0, step=0.1)
+    headings = after_scans(-0.7, 5, moved=0.2)[2]
+    _, _, lost = headings.update(modes(), 0.0, 1.0, step=0.1)
     assert lost.evidence.log_odds == 0.0
 
 

@@ -23,16 +23,16 @@ SITE_DRIVE = DRIVES["behind_a_container"]
 SEEN_AGAIN = BACK["behind_a_container"]
 
 
-def restarted(drive, second, **given):
+def restarted(drive, second, **options):
     """The restarted localizer, and its fixes."""
     localizer = BoxLocalizer(PARAMETERS, BOX, drive.saved_state(second))
-    return localizer, drive.scored(localizer, second + DOWN, **given)
+    return localizer, drive.scored(localizer, second + DOWN, **options)
 
 
 def without_background(second):
     """A localizer with the track only."""
-    kept = dataclasses.replace(SITE_DRIVE.saved_state(second), background=Background.empty())
-    return BoxLocalizer(PARAMETERS, BOX, kept)
+    state = dataclasses.replace(SITE_DRIVE.saved_state(second), background=Background.empty())
+    return BoxLocalizer(PARAMETERS, BOX, state)
 
 
 @pytest.mark.slow
@@ -61,26 +61,26 @@ def test_restart_at_any_second_tracks_only_the_box_without_delay(name):
 
 
 def test_background_survives_several_restarts_without_a_fix():
-    kept = SITE_DRIVE.saved_state(50)
+    state = SITE_DRIVE.saved_state(50)
     for second in (52, 55, 58):
-        localizer = BoxLocalizer(PARAMETERS, BOX, kept)
+        localizer = BoxLocalizer(PARAMETERS, BOX, state)
         for stamp, ranges in SITE_DRIVE.scans:
             if second <= stamp < second + 2.0:
                 assert isinstance(localizer.locate(scan_of(stamp, ranges)), Rejection)
-        kept = localizer.saved_state
-    localizer = BoxLocalizer(PARAMETERS, BOX, kept)
+        state = localizer.saved_state
+    localizer = BoxLocalizer(PARAMETERS, BOX, state)
     assert longest_wrong(SITE_DRIVE.scored(localizer, 60.0, MANY)) <= LONGEST
 
 
 @pytest.mark.parametrize("change", ["laser", "beams"])
 def test_background_of_another_place_or_other_beams_is_not_used(change):
-    kept = SITE_DRIVE.saved_state(HIDDEN[SITE_DRIVE.name])
+    state = SITE_DRIVE.saved_state(HIDDEN[SITE_DRIVE.name])
     if change == "laser":
-        kept = dataclasses.replace(kept, laser=(kept.laser[0], kept.laser[1], kept.laser[2] + 0.01))
+        state = dataclasses.replace(state, laser=(state.laser[0], state.laser[1], state.laser[2] + 0.01))
     else:
-        background = dataclasses.replace(kept.background, angle_min=kept.background.angle_min + 0.002)
-        kept = dataclasses.replace(kept, background=background)
-    localizer = BoxLocalizer(PARAMETERS, BOX, kept)
+        background = dataclasses.replace(state.background, angle_min=state.background.angle_min + 0.002)
+        state = dataclasses.replace(state, background=background)
+    localizer = BoxLocalizer(PARAMETERS, BOX, state)
     scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY)
     assert longest_wrong(scored) <= LONGEST
     assert localizer.tally.by_source()["scan"][Reason.UNCERTAIN.value] > 50

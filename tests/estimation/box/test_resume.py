@@ -23,50 +23,50 @@ NEAR = dataclasses.replace(PARAMETERS, initial_reach=1.0)
 
 
 @pytest.fixture
-def drove():
+def after_turn():
     """A localizer and a scanner after a turn."""
     scanner, localizer = SiteScanner(SITE, BOX, seed=1), BoxLocalizer(NEAR, BOX)
     drive(localizer, scanner, turning, SCANS)
     return localizer, scanner
 
 
-def fixes_of(localizer, scanner, first, scans=20):
-    outcomes = drive(localizer, scanner, turning, scans, first=first)
+def fixes_of(localizer, scanner, first):
+    outcomes = drive(localizer, scanner, turning, 20, first=first)
     return [fix for fix in outcomes if isinstance(fix, BoxFix)]
 
 
-def test_a_localizer_killed_far_from_its_start_finds_the_box_again(drove, tmp_path):
-    before, scanner = drove
-    TrackFile(str(tmp_path / "kept.json")).write(before.saved_state)
-    after = BoxLocalizer(NEAR, BOX, TrackFile(str(tmp_path / "kept.json")).read())
-    found = fixes_of(after, scanner, SCANS + AWAY)
+def test_a_localizer_killed_far_from_its_start_finds_the_box_again(after_turn, tmp_path):
+    before, scanner = after_turn
+    TrackFile(str(tmp_path / "track.json")).write(before.saved_state)
+    after = BoxLocalizer(NEAR, BOX, TrackFile(str(tmp_path / "track.json")).read())
+    fixes = fixes_of(after, scanner, SCANS + AWAY)
     assert after.resumed
-    assert len(found) >= 18
-    assert_near(found[-1], turning)
+    assert len(fixes) >= 18
+    assert_near(fixes[-1], turning)
     wrong = [
         f
-        for f in found
+        for f in fixes
         if abs(f.yaw - turning(f.stamp_ns * 1e-9)[2]) > 0.5 and f.covariance[2, 2] < CEILING**2
     ]
     assert wrong == []
     assert fixes_of(BoxLocalizer(NEAR, BOX), scanner, SCANS + AWAY) == []
 
 
-def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(drove):
+def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(after_turn):
     """The box is hidden for longer than a track is kept, but a running localizer would find it too."""
-    before, scanner = drove
+    before, scanner = after_turn
     unseen = round(NEAR.resume_time / PERIOD) + 10
     out_of_sight = drive(before, scanner, standing(0.0, -60.0, 0.0), unseen, first=SCANS)
     assert not any(isinstance(fix, BoxFix) for fix in out_of_sight)
     after = BoxLocalizer(NEAR, BOX, before.saved_state)
-    found = fixes_of(after, scanner, SCANS + unseen + AWAY)
+    fixes = fixes_of(after, scanner, SCANS + unseen + AWAY)
     assert after.resumed
-    assert len(found) >= 18
-    assert_near(found[-1], turning)
+    assert len(fixes) >= 18
+    assert_near(fixes[-1], turning)
 
 
-def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
-    before, _ = drove
+def test_a_track_of_long_ago_or_of_the_future_is_not_used(after_turn):
+    before, _ = after_turn
     pose_at = standing(0.0, 0.0, 0.0)
     late = round(NEAR.resume_time / 0.21) + SCANS + 10
     for first in (0, late):
@@ -78,11 +78,11 @@ def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
         ]
 
 
-def test_track_file_restores_track_and_background(drove):
-    kept = drove[0].saved_state
-    parsed = parse_track(track_text(kept))
-    assert parsed.scan_ns == kept.scan_ns
-    track, again = kept.track, parsed.track
+def test_track_file_restores_track_and_background(after_turn):
+    state = after_turn[0].saved_state
+    parsed = parse_track(track_text(state))
+    assert parsed.scan_ns == state.scan_ns
+    track, again = state.track, parsed.track
     assert again.stamp_ns == track.stamp_ns
     np.testing.assert_array_equal(again.mean, track.mean)
     np.testing.assert_array_equal(again.covariance, track.covariance)
@@ -90,15 +90,15 @@ def test_track_file_restores_track_and_background(drove):
     assert again.headings.evidence == track.headings.evidence
     assert parsed.laser == (NEAR.laser_x, NEAR.laser_y, NEAR.laser_yaw)
     for name in ("ranges", "free"):
-        seen = getattr(kept.background, name)
-        assert np.isfinite(seen).any()
-        np.testing.assert_allclose(getattr(parsed.background, name), seen, atol=5.1e-4)
+        expected = getattr(state.background, name)
+        assert np.isfinite(expected).any()
+        np.testing.assert_allclose(getattr(parsed.background, name), expected, atol=5.1e-4)
 
 
-def test_file_of_an_older_version_is_refused_in_one_line(drove, tmp_path):
-    path = tmp_path / "kept.json"
+def test_file_of_an_older_version_is_refused_in_one_line(after_turn, tmp_path):
+    path = tmp_path / "track.json"
     path.write_text(
-        json.dumps({**json.loads(track_text(drove[0].saved_state)), "version": 2}), encoding="utf-8"
+        json.dumps({**json.loads(track_text(after_turn[0].saved_state)), "version": 2}), encoding="utf-8"
     )
     file = TrackFile(str(path))
     assert file.read() is None
@@ -136,33 +136,33 @@ def test_any_other_text_is_refused(text):
         ("free", [1.0]),
     ],
 )
-def test_a_changed_value_is_refused(drove, tmp_path, key, value):
-    tree = json.loads(track_text(drove[0].saved_state))
-    path = tmp_path / "kept.json"
+def test_a_changed_value_is_refused(after_turn, tmp_path, key, value):
+    tree = json.loads(track_text(after_turn[0].saved_state))
+    path = tmp_path / "track.json"
     path.write_text(json.dumps({**tree, key: value}), encoding="utf-8")
     file = TrackFile(str(path))
     assert file.read() is None
     assert str(path) in file.failure
 
 
-def test_file_that_is_no_track_is_kept_under_another_name(drove, tmp_path):
+def test_file_that_is_no_track_is_kept_under_another_name(after_turn, tmp_path):
     """``track_file`` names a text file of the user."""
     path = tmp_path / "notes.txt"
     for text in ("years of work", "more of it"):
         path.write_text(text, encoding="utf-8")
         file = TrackFile(str(path))
         assert file.read() is None
-        file.write(drove[0].saved_state)
+        file.write(after_turn[0].saved_state)
     assert path.with_name("notes.txt.unused").read_text(encoding="utf-8") == "years of work"
     assert path.with_name("notes.txt.unused-2").read_text(encoding="utf-8") == "more of it"
     assert TrackFile(str(path)).read() is not None
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(drove, tmp_path):
+def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(after_turn, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
-    file = TrackFile(str(tmp_path / "file" / "kept.json"))
-    file.write(drove[0].saved_state)
+    file = TrackFile(str(tmp_path / "file" / "track.json"))
+    file.write(after_turn[0].saved_state)
     assert file.failures == 1
     assert "is not written" in file.failure
     assert TrackFile("").read() is None

@@ -54,7 +54,7 @@ def clearance(truth: Truth, site: SiteParameters) -> float:
     return float(np.min(distances))
 
 
-SEEN = [  # others have another vehicle, or leave the level site
+SCENARIOS = [  # others have another vehicle, or leave the level site
     name
     for name in scenario_names()
     if not load_scenario(name).has_swing and load_scenario(name).terrain == FLAT
@@ -64,7 +64,7 @@ SEEN = [  # others have another vehicle, or leave the level site
 @pytest.mark.parametrize(
     "soil", [SOILS[0], *(pytest.param(soil, marks=pytest.mark.slow) for soil in SOILS[1:])]
 )
-@pytest.mark.parametrize("name", SEEN)
+@pytest.mark.parametrize("name", SCENARIOS)
 def test_the_box_stays_in_sight(name: str, soil: str) -> None:
     truth = simulate(load_scenario(name), soil=soil)
     assert beams_on_box(truth).min() > LOCALIZER.minimum_beams
@@ -75,8 +75,8 @@ def test_the_field_trial_is_as_described() -> None:
     segments = load_scenario("field_trial").segments
     duration = sum(s.duration for s in segments)
 
-    def share(kept: list[bool]) -> float:
-        return sum(s.duration for s, keep in zip(segments, kept, strict=True) if keep) / duration
+    def share(chosen: list[bool]) -> float:
+        return sum(s.duration for s, is_chosen in zip(segments, chosen, strict=True) if is_chosen) / duration
 
     assert share([s.left == s.right != 0.0 for s in segments]) >= 0.4  # straight, at a steady speed
     assert 0.05 <= share([s.left == s.right == 0.0 for s in segments]) <= 0.2

@@ -20,19 +20,19 @@ from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 from trackslip_estimation.slip.measurements import UNOBSERVED
 
 DATUM = {"datum_latitude": -33.889, "datum_longitude": 151.193, "datum_altitude": 60.0}
-KNOWN = np.diag((0.01**2, 0.02**2))
+COVARIANCE = np.diag((0.01**2, 0.02**2))
 
 
-def localizer(**given):
+def localizer(**parameters):
     return GnssLocalizer(
-        from_flat(GnssLocalizerParameters, node_defaults(NODE, f"{NODE}.yaml") | given, NODE)
+        from_flat(GnssLocalizerParameters, node_defaults(NODE, f"{NODE}.yaml") | parameters, NODE)
     )
 
 
 UP = 0.04**2  # m²
 
 
-def fix(latitude=-33.889, longitude=151.193, altitude=60.0, status=2, covariance=KNOWN, kind=2, up=UP):
+def fix(latitude=-33.889, longitude=151.193, altitude=60.0, status=2, covariance=COVARIANCE, kind=2, up=UP):
     return Fix(17, latitude, longitude, altitude, status, np.asarray(covariance, dtype=float), kind, up)
 
 
@@ -42,30 +42,30 @@ def fix(latitude=-33.889, longitude=151.193, altitude=60.0, status=2, covariance
     st.floats(-50.0, 4000.0),
     st.tuples(st.floats(-3000.0, 3000.0), st.floats(-3000.0, 3000.0), st.floats(-300.0, 300.0)),
 )
-def test_place_is_metres_east_north_and_up(latitude, longitude, altitude, at):
+def test_position_is_metres_east_north_and_up(latitude, longitude, altitude, at):
     if latitude == longitude == 0.0:
         return
     there = pymap3d.enu2geodetic(*at, latitude, longitude, altitude)
-    which = localizer(datum_latitude=latitude, datum_longitude=longitude, datum_altitude=altitude)
-    place = which.locate(fix(*map(float, there)))
-    assert isinstance(place, AntennaPosition)
-    assert (place.east, place.north, place.up) == pytest.approx(at, abs=1e-5)
-    np.testing.assert_array_equal(place.covariance, KNOWN)
-    assert place.up_variance == UP
+    gnss = localizer(datum_latitude=latitude, datum_longitude=longitude, datum_altitude=altitude)
+    position = gnss.locate(fix(*map(float, there)))
+    assert isinstance(position, AntennaPosition)
+    assert (position.east, position.north, position.up) == pytest.approx(at, abs=1e-5)
+    np.testing.assert_array_equal(position.covariance, COVARIANCE)
+    assert position.up_variance == UP
 
 
 def test_unknown_altitude_is_that_of_the_datum():
-    place = localizer(**DATUM).locate(fix(-33.888, 151.194, math.nan))
-    assert isinstance(place, AntennaPosition)
+    position = localizer(**DATUM).locate(fix(-33.888, 151.194, math.nan))
+    assert isinstance(position, AntennaPosition)
     same = localizer(**DATUM).locate(fix(-33.888, 151.194, 60.0))
-    assert (place.east, place.north) == pytest.approx((same.east, same.north), abs=1e-3)
-    assert math.isnan(place.up)
-    message = pose(make, place, "gnss_pose", "map")
+    assert (position.east, position.north) == pytest.approx((same.east, same.north), abs=1e-3)
+    assert math.isnan(position.up)
+    message = pose(make, position, "gnss_pose", "map")
     assert (message.pose.pose.position.z, message.pose.covariance[14]) == (0.0, UNOBSERVED)
 
 
 @pytest.mark.parametrize(
-    ("given", "reason"),
+    ("fields", "reason"),
     [
         ({"status": -1}, Reason.NO_FIX),
         ({"latitude": math.nan}, Reason.NOT_A_NUMBER),
@@ -84,19 +84,19 @@ def test_unknown_altitude_is_that_of_the_datum():
         ({"latitude": -35.0}, Reason.FAR),
     ],
 )
-def test_fix_is_refused_by_name(given, reason):
-    which = localizer(**DATUM)
-    assert which.locate(fix(**given)) is reason
-    assert which.tally.by_source() == {"fix": {reason.value: 1}}
-    assert isinstance(which.locate(fix()), AntennaPosition)
+def test_fix_is_refused_by_name(fields, reason):
+    gnss = localizer(**DATUM)
+    assert gnss.locate(fix(**fields)) is reason
+    assert gnss.tally.by_source() == {"fix": {reason.value: 1}}
+    assert isinstance(gnss.locate(fix()), AntennaPosition)
 
 
 def test_equator_and_date_line_divide_nothing():
     for datum, there in (((0.0001, 30.0), (-0.0001, 30.0)), ((-17.0, 179.9999), (-17.0, -179.9999))):
-        which = localizer(datum_latitude=datum[0], datum_longitude=datum[1], datum_altitude=60.0)
-        place = which.locate(fix(*there))
-        assert isinstance(place, AntennaPosition)
-        assert math.hypot(place.east, place.north) < 30.0
+        gnss = localizer(datum_latitude=datum[0], datum_longitude=datum[1], datum_altitude=60.0)
+        position = gnss.locate(fix(*there))
+        assert isinstance(position, AntennaPosition)
+        assert math.hypot(position.east, position.north) < 30.0
 
 
 @pytest.mark.parametrize("status", [0, 1, 2, 3])
@@ -104,23 +104,23 @@ def test_equator_and_date_line_divide_nothing():
 def test_unknown_covariance_is_assumed_by_status(status, zeros):
     kind, covariance = (2, np.zeros((2, 2))) if zeros else (0, np.full((2, 2), 7.0))
     up = 0.0 if zeros else 7.0
-    place = localizer(**DATUM).locate(fix(status=status, covariance=covariance, kind=kind, up=up))
-    assert isinstance(place, AntennaPosition)
-    assert place.up_variance == pytest.approx(4.0 * place.covariance[0, 0])
-    assert place.covariance[0, 0] == (3.0**2, 1.0**2, 0.3**2, 0.3**2)[status]
+    position = localizer(**DATUM).locate(fix(status=status, covariance=covariance, kind=kind, up=up))
+    assert isinstance(position, AntennaPosition)
+    assert position.up_variance == pytest.approx(4.0 * position.covariance[0, 0])
+    assert position.covariance[0, 0] == (3.0**2, 1.0**2, 0.3**2, 0.3**2)[status]
 
 
 def test_datum_is_the_first_of_the_fixes_that_agree():
-    which = localizer(datum_fixes=3)
-    assert which.locate(fix(10.0, 10.0)) is Reason.NO_DATUM  # an outlier at the start
-    assert which.locate(fix(-33.8890, 151.193)) is Reason.NO_DATUM
-    assert which.locate(fix(status=-1)) is Reason.NO_FIX
-    assert which.locate(fix(-33.8891, 151.193)) is Reason.NO_DATUM
-    place = which.locate(fix(-33.8892, 151.193))
-    assert which.datum == Datum(-33.8890, 151.193, 60.0)
-    assert isinstance(place, AntennaPosition)
-    assert (place.east, place.north) == pytest.approx((0.0, -22.18), abs=0.01)
-    assert which.locate(fix(10.0, 10.0)) is Reason.HEMISPHERE
+    gnss = localizer(datum_fixes=3)
+    assert gnss.locate(fix(10.0, 10.0)) is Reason.NO_DATUM  # an outlier at the start
+    assert gnss.locate(fix(-33.8890, 151.193)) is Reason.NO_DATUM
+    assert gnss.locate(fix(status=-1)) is Reason.NO_FIX
+    assert gnss.locate(fix(-33.8891, 151.193)) is Reason.NO_DATUM
+    position = gnss.locate(fix(-33.8892, 151.193))
+    assert gnss.datum == Datum(-33.8890, 151.193, 60.0)
+    assert isinstance(position, AntennaPosition)
+    assert (position.east, position.north) == pytest.approx((0.0, -22.18), abs=0.01)
+    assert gnss.locate(fix(10.0, 10.0)) is Reason.HEMISPHERE
 
 
 def test_datum_at_a_pole_is_refused():
@@ -142,10 +142,10 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
     st.integers(0, 255),
 )
 def test_any_fix_gives_a_position_or_a_rejection(latitude, longitude, altitude, status, covariance, kind):
-    which = localizer(**DATUM)
-    found = which.locate(fix(latitude, longitude, altitude, status, np.reshape(covariance, (2, 2)), kind))
-    if isinstance(found, AntennaPosition):
-        assert math.hypot(found.east, found.north) <= 1e5
-        assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    gnss = localizer(**DATUM)
+    outcome = gnss.locate(fix(latitude, longitude, altitude, status, np.reshape(covariance, (2, 2)), kind))
+    if isinstance(outcome, AntennaPosition):
+        assert math.hypot(outcome.east, outcome.north) <= 1e5
+        assert np.linalg.eigvalsh(outcome.covariance).min() > 0.0
     else:
-        assert which.tally.total.total() == 1
+        assert gnss.tally.total.total() == 1

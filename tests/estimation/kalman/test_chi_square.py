@@ -30,7 +30,7 @@ def test_interval_is_close_to_that_of_scipy(dof):
 
 
 def test_estimator_starts_without_the_special_functions_of_scipy():
-    loaded = "import sys, trackslip_estimation.slip.estimator, trackslip_estimation.soil.soil_estimator; "
-    loaded += "import trackslip_estimation.slip.source_watch; print('scipy.special' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
-    assert found.stdout == "False\n"
+    code = "import sys, trackslip_estimation.slip.estimator, trackslip_estimation.soil.soil_estimator; "
+    code += "import trackslip_estimation.slip.source_watch; print('scipy.special' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

@@ -45,7 +45,7 @@ TURNING = MotionState(
     Motion.TURNING, changing=True, departure=1e-9
 )  # rad/s: above 0, so that speeds are not low-passed
 
-each = pytest.mark.parametrize("model", list(MODELS))
+models = pytest.mark.parametrize("model", list(MODELS))
 kappas = pytest.mark.parametrize("kappa", [-4.0, 0.0, 2.0])
 
 
@@ -85,8 +85,8 @@ def test_sigma_points_have_mean_and_covariance_of_the_state(kappa: float, n: int
 def test_mean_of_a_square_is_exact(kappa: float) -> None:
     """E x² = x̄² + σ² for any κ; the first-order EKF lacks σ²."""
     points, weights = daf.sigma_points(np.array((3.0, 0.0, 0.0, 0.0, 0.0)), np.eye(5) * 0.25, kappa, 5)
-    seen = np.ascontiguousarray(np.square(points[:, :1]))
-    assert daf.moments(seen, weights, YAW)[0][0] == pytest.approx(9.25)
+    squares = np.ascontiguousarray(np.square(points[:, :1]))
+    assert daf.moments(squares, weights, YAW)[0][0] == pytest.approx(9.25)
 
 
 @pytest.mark.parametrize("angle", [math.pi, -math.pi + 0.01, 3.0])
@@ -98,7 +98,7 @@ def test_headings_are_averaged_over_the_shorter_arc(angle: float) -> None:
     assert (departures[YAW] ** 2 * w).sum() == pytest.approx(0.04)
 
 
-@each
+@models
 @kappas
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
@@ -106,11 +106,11 @@ def test_daf_equals_the_ekf_for_linear_measurements(model: str, kappa: float, se
     """Poses are linear in every state: the update equals that of the EKF."""
     rng = np.random.default_rng(seed)
     n = MODELS[model].ACTIVE
-    known = Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
-    known.mean[:n], known.covariance[:n, :n] = rng.normal(size=n) * 0.3, covariance(rng, n) * 0.1
-    fix = pose_measured(known.mean[:3] + rng.normal(size=3) * 0.3, covariance(rng, 3) * 0.1, seed % 2 == 0)
+    prior = Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
+    prior.mean[:n], prior.covariance[:n, :n] = rng.normal(size=n) * 0.3, covariance(rng, n) * 0.1
+    fix = pose_measured(prior.mean[:3] + rng.normal(size=3) * 0.3, covariance(rng, 3) * 0.1, seed % 2 == 0)
     one, other = (
-        filter_step(CONFIGS[model, k], known, STANDSTILL, 0.0, MotionState(), fix) for k in (kappa, None)
+        filter_step(CONFIGS[model, k], prior, STANDSTILL, 0.0, MotionState(), fix) for k in (kappa, None)
     )
     np.testing.assert_allclose(one.updated.mean, other.updated.mean, atol=1e-10)
     np.testing.assert_allclose(one.updated.covariance, other.updated.covariance, atol=1e-10)
@@ -123,17 +123,17 @@ def test_a_linear_step_makes_it_the_kalman_filter(kappa: float) -> None:
     config, dt, drive = CONFIGS["turning", kappa], 0.2, Drive(1.0, 1.0, departure=0.5)
     P = np.zeros((SIZE, SIZE))
     P[X, X], P[Y, Y], P[SPEED_ERROR, SPEED_ERROR] = 0.1, 0.2, 0.3
-    known = Gaussian(np.array((1.0, 2.0, 0.7, 0.0, 0.5, *np.zeros(SIZE - 5))), P)
-    state = state_of(known, *drive.parts)
+    prior = Gaussian(np.array((1.0, 2.0, 0.7, 0.0, 0.5, *np.zeros(SIZE - 5))), P)
+    state = state_of(prior, *drive.parts)
     propagate(state[0], dt, config[0])
-    F, Q = transition(known.mean, drive, dt, config), process_noise(*known, drive, dt, config)
-    found = gaussian_of(state[0])
-    np.testing.assert_allclose(found.mean, moved(known.mean, drive, dt, config), atol=1e-12)
-    np.testing.assert_allclose(found.covariance, F @ P @ F.T + Q, atol=1e-12)
+    F, Q = transition(prior.mean, drive, dt, config), process_noise(*prior, drive, dt, config)
+    predicted = gaussian_of(state[0])
+    np.testing.assert_allclose(predicted.mean, moved(prior.mean, drive, dt, config), atol=1e-12)
+    np.testing.assert_allclose(predicted.covariance, F @ P @ F.T + Q, atol=1e-12)
     assert Q[SPEED_ERROR, SPEED_ERROR] > 0.0
 
 
-@each
+@models
 @kappas
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
@@ -174,16 +174,16 @@ NEAR = {"icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # away from the 
 
 
 @pytest.mark.slow
-@each
+@models
 @pytest.mark.parametrize("kappa", [None, 0.0, -4.0])
 def test_daf_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
     """Truth drawn from the model, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
     config, n = config_of({"model": model, **NEAR}, with_kappa(kappa)), MODELS[model].ACTIVE
     nees = []
-    for start, steps, truth in _drawn(model):
+    for start, steps, truth in _drives(model):
         state = start
-        for speeds, seen in steps:
-            state = filter_step(config, state, speeds, 0.05, TURNING, seen).updated
+        for speeds, measured in steps:
+            state = filter_step(config, state, speeds, 0.05, TURNING, measured).updated
         error = state.mean - truth
         error[YAW] = wrap(error[YAW])
         nees.append(error[:n] @ np.linalg.solve(state.covariance[:n, :n], error[:n]))
@@ -192,7 +192,7 @@ def test_daf_is_consistent_on_its_own_model(model: str, kappa: float | None) -> 
 
 
 @cache
-def _drawn(model: str) -> list[tuple[Gaussian, list[tuple[Speeds, Measured]], FloatArray]]:
+def _drives(model: str) -> list[tuple[Gaussian, list[tuple[Speeds, Measured]], FloatArray]]:
     """Start, steps and true end of 60 drives."""
     config = config_of({"model": model, **NEAR})
     start = start_of(config, np.zeros(3), np.diag((0.05, 0.05, 0.02)) ** 2)
@@ -206,7 +206,7 @@ def _drawn(model: str) -> list[tuple[Gaussian, list[tuple[Speeds, Measured]], Fl
             Q = process_noise(truth, np.zeros((SIZE, SIZE)), drive, 0.05, config)
             truth = moved(truth, drive, 0.05, config) + rng.normal(size=SIZE) @ _root(Q)
             speeds = Speeds(left, right)
-            steps.append((speeds, _seen(k, truth, speeds, config, rng)))
+            steps.append((speeds, _measured(k, truth, speeds, config, rng)))
         drives.append((start, steps, truth))
     return drives
 
@@ -218,7 +218,7 @@ def _root(Q: FloatArray) -> FloatArray:
     return root
 
 
-def _seen(
+def _measured(
     k: int, truth: FloatArray, speeds: Speeds, config: ConfigRecord, rng: np.random.Generator
 ) -> Measured:
     """A fix at every tenth step, otherwise a gyro reading, with their stated noise."""

@@ -205,9 +205,7 @@ def test_soft_gate_limits_the_nis(size: float) -> None:
     assert (np.diag(R) >= np.diag(stated)).all()
 
 
-def corrected_knowing(
-    P: FloatArray, H: FloatArray, R: FloatArray, known: int
-) -> tuple[FloatArray, FloatArray]:
+def schmidt_update(P: FloatArray, H: FloatArray, R: FloatArray, known: int) -> tuple[FloatArray, FloatArray]:
     """x and P after an update of a zero state with innovations of 0.3."""
     x, P = np.zeros(len(P)), P.copy()
     correct(x, P, Observation(np.full(len(H), 0.3), H, R, 0, known, np.zeros((0, len(P)))))
@@ -216,20 +214,21 @@ def corrected_knowing(
 
 @pytest.mark.parametrize("m", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("kept", [(2, 4), (4,), (1, 2, 4)])
+@pytest.mark.parametrize("known", [(2, 4), (4,), (1, 2, 4)])
 def test_known_states_keep_their_moments_and_the_rest_is_corrected_given_them(
-    seed: int, kept: tuple[int, ...], m: int
+    seed: int, known: tuple[int, ...], m: int
 ) -> None:
     rng = np.random.default_rng(seed)
     P, H, R = spd(rng, 6), rng.normal(size=(m, 6)), spd(rng, m)
-    x, after = corrected_knowing(P, H, R, sum(1 << k for k in kept))
-    rest = [k for k in range(6) if k not in kept]
-    assert not x[list(kept)].any()
-    np.testing.assert_array_equal(after[np.ix_(kept, kept)], P[np.ix_(kept, kept)])
-    given = P - P[:, kept] @ np.linalg.inv(P[np.ix_(kept, kept)]) @ P[list(kept)]
+    x, after = schmidt_update(P, H, R, sum(1 << k for k in known))
+    rest = [k for k in range(6) if k not in known]
+    assert not x[list(known)].any()
+    np.testing.assert_array_equal(after[np.ix_(known, known)], P[np.ix_(known, known)])
+    conditional = P - P[:, known] @ np.linalg.inv(P[np.ix_(known, known)]) @ P[list(known)]
     h = H[:, rest]
     K = np.zeros((6, m))
-    K[rest] = given[np.ix_(rest, rest)] @ h.T @ np.linalg.inv(h @ given[np.ix_(rest, rest)] @ h.T + R)
+    conditional = conditional[np.ix_(rest, rest)]
+    K[rest] = conditional @ h.T @ np.linalg.inv(h @ conditional @ h.T + R)
     np.testing.assert_allclose(x, K @ np.full(m, 0.3), rtol=1e-7, atol=1e-12)
     keep = np.eye(6) - K @ H
     np.testing.assert_allclose(after, keep @ P @ keep.T + K @ R @ K.T, rtol=1e-7, atol=1e-12)
@@ -241,8 +240,8 @@ def test_zero_variances_are_no_special_case(known: int) -> None:
     P, H, R = spd(rng, 6), rng.normal(size=(1, 6)), np.array(((0.01,),))
     if known:
         P[2] = P[:, 2] = P[4] = P[:, 4] = 0.0
-    x, after = corrected_knowing(P, H, R, known)
-    y, plain = corrected_knowing(P, H, R, 0)
+    x, after = schmidt_update(P, H, R, known)
+    y, plain = schmidt_update(P, H, R, 0)
     np.testing.assert_allclose(x, y, rtol=1e-12)
     np.testing.assert_allclose(after, plain, rtol=1e-12, atol=1e-15)
 
@@ -253,8 +252,8 @@ def test_two_identical_known_states_count_once() -> None:
     P[4], H[0, 4] = P[2], 0.0
     P[:, 4] = P[:, 2]
     P[4, 4] = P[2, 2]
-    x, after = corrected_knowing(P, H, R, 1 << 2 | 1 << 4)
-    one, without = corrected_knowing(P, H, R, 1 << 2)
+    x, after = schmidt_update(P, H, R, 1 << 2 | 1 << 4)
+    one, without = schmidt_update(P, H, R, 1 << 2)
     np.testing.assert_allclose(np.delete(x, 4), np.delete(one, 4), rtol=1e-9, atol=1e-12)
     assert np.isfinite(after).all()
     assert np.isfinite(without).all()

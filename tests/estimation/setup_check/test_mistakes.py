@@ -70,8 +70,8 @@ def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
     (gyro,) = log.gyros
     exact = replace(gyro, rates=factor * np.round(gyro.rates, 1))
     assert frozen_spans(exact)
-    kept = [(c, (c.t < 10.0) | (c.t > 20.0) | (headings == "all")) for c in log.compasses]
-    compasses = tuple(replace(c, t=c.t[k], headings=c.headings[k]) for c, k in kept)
+    masks = [(c, (c.t < 10.0) | (c.t > 20.0) | (headings == "all")) for c in log.compasses]
+    compasses = tuple(replace(c, t=c.t[k], headings=c.headings[k]) for c, k in masks)
     causes = check(replace(log, gyros=(exact,), compasses=compasses)).causes
     assert [cause.cause for cause in causes] == expected
 
@@ -88,9 +88,9 @@ def test_turns_without_yaw_rate_on_clay_are_no_mistake(has_heading: bool) -> Non
     ahead = np.interp(fixes.t, log.tracks.t, 0.33 * log.tracks.angles.mean(axis=1))
     straight = replace(fixes, places=np.column_stack((ahead, 0.0 * ahead)))
     compasses = tuple(replace(one, headings=0.0 * one.headings) for one in log.compasses)
-    found = check(replace(log.with_gyro(replace(gyro, rates=still)), fixes=(straight,), compasses=compasses))
-    assert found.causes == ()
-    assert found.open_questions == ()
+    result = check(replace(log.with_gyro(replace(gyro, rates=still)), fixes=(straight,), compasses=compasses))
+    assert result.causes == ()
+    assert result.open_questions == ()
 
 
 def test_an_outage_of_fixes_is_no_mistake() -> None:
@@ -126,8 +126,8 @@ def test_undetermined_mistake_has_no_wrong_cause(name: str) -> None:
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_of_two_mistakes_at_least_one_is_named_and_nothing_else(first: str, second: str) -> None:
     pair = MISTAKES[first], MISTAKES[second]
-    found = check(pair[1].inject(pair[0].inject(drive())))
-    causes = {cause.cause for cause in found.causes}
+    result = check(pair[1].inject(pair[0].inject(drive())))
+    causes = {cause.cause for cause in result.causes}
     assert causes
     assert causes <= {name for one in pair for name in (one.cause, *one.also)}
 
@@ -145,8 +145,8 @@ def test_remedy_of_a_heading_source_is_its_convention_or_sign(
 ) -> None:
     log = drive()
     compass = replace(log.compasses[0], name="heading", of_poses=False, convention=convention)
-    found = check(MISTAKES[mistake].inject(replace(log, compasses=(compass,))))
-    (cause,) = (one for one in found.causes if one.cause == "heading_convention")
+    result = check(MISTAKES[mistake].inject(replace(log, compasses=(compass,))))
+    (cause,) = (one for one in result.causes if one.cause == "heading_convention")
     assert f"slip_estimator.sources.heading.{remedy}" in cause.remedy
 
 
@@ -207,8 +207,8 @@ def test_fixes_in_km_are_named(has_heading: bool, stddev: float) -> None:
 
 @pytest.mark.parametrize("factor", [1e-3, 1.0, 1.0 / 0.3048, 100.0, 1000.0])
 def test_track_distance_does_not_depend_on_the_unit_of_fixes(factor: float) -> None:
-    shown = check(scaled_fixes(drive(), factor)).facts[0].partition(",")[0]
-    assert shown == "distance: 116.1 m by the tracks"
+    distance = check(scaled_fixes(drive(), factor)).facts[0].partition(",")[0]
+    assert distance == "distance: 116.1 m by the tracks"
 
 
 @pytest.mark.parametrize("has_heading", [True, False])
@@ -236,9 +236,9 @@ def hill(*, turns: bool, has_heading: bool) -> Log:
 )
 def test_pitch_on_a_hill_is_no_turn(name: str, *, turns: bool, has_heading: bool) -> None:
     log = hill(turns=turns, has_heading=has_heading)
-    own = {"healthy"} if name == "healthy" else {MISTAKES[name].cause}
+    expected = {"healthy"} if name == "healthy" else {MISTAKES[name].cause}
     result = check(log if name == "healthy" else MISTAKES[name].inject(log))
-    assert {cause.cause for cause in result.causes} <= own
+    assert {cause.cause for cause in result.causes} <= expected
     if name in ("nose up", "on its side"):  # gravity is along another axis
         assert result.causes
 
@@ -267,7 +267,7 @@ def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_
 @pytest.mark.parametrize("lever", [(-1.2, 0.6), (1.5, 0.5)])
 @pytest.mark.parametrize("stddev", [0.02, 3.0])
 def test_a_wrong_lever_arm_is_no_scale_of_the_gyro(lever: tuple[float, float], stddev: float) -> None:
-    """As with the lever arm of a vehicle that a first mapping guesses."""
+    """As where a first mapping file guesses the vehicle, and with it the lever arm."""
     log = make_drive(has_heading=False)
     (fixes,) = log.fixes
     wrong = replace(fixes, lever=lever, stddevs=np.full(len(fixes.t), stddev))
@@ -303,8 +303,8 @@ ONE_SIDED = ((6.0, 0.0, 0.0), *4 * ((10.0, 0.9, 0.0), (4.0, 0.6, 0.4), (3.0, 0.0
 
 def test_slip_in_turns_to_one_side_is_no_lever_arm() -> None:
     log = make_drive(programme=ONE_SIDED, lever=(0.0, 0.0))
-    turns = np.abs(np.gradient(log.tracks.angles[:, 1] - log.tracks.angles[:, 0])) > 1e-3
-    speeds = np.where(turns[:, np.newaxis], log.tracks.speeds + 0.5, log.tracks.speeds)  # both tracks spin
+    turning = np.abs(np.gradient(log.tracks.angles[:, 1] - log.tracks.angles[:, 0])) > 1e-3
+    speeds = np.where(turning[:, np.newaxis], log.tracks.speeds + 0.5, log.tracks.speeds)  # both tracks spin
     assert (
         names_of(replace(log, tracks=Tracks(log.tracks.t, speeds, integral(log.tracks.t, speeds)))) == set()
     )
@@ -392,8 +392,8 @@ def test_fixes_on_another_clock_are_named_with_the_time_between(late: float, opt
 
 @pytest.mark.parametrize("mistake", ["tracks swapped", "gyro sign", "speed in km/h"])
 def test_another_mistake_is_named_beside_that_of_a_clock(mistake: str) -> None:
-    found = names_of(shifted(MISTAKES[mistake].inject(drive()), 18.0))
-    assert found == {"source_delay", MISTAKES[mistake].cause}
+    causes = names_of(shifted(MISTAKES[mistake].inject(drive()), 18.0))
+    assert causes == {"source_delay", MISTAKES[mistake].cause}
 
 
 @pytest.mark.parametrize("late", [3600.0, -7200.0])
@@ -421,7 +421,7 @@ def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period
 
 @pytest.mark.parametrize("name", ["diameter for radius", "increments as positions", "lever arm ahead"])
 def test_a_mistake_is_named_though_fixes_state_far_more_noise_than_they_have(name: str) -> None:
-    """A first mapping guesses 3 m."""
+    """A first mapping file often guesses 3 m."""
     (fixes,) = drive().fixes
     log = replace(drive(), fixes=(replace(fixes, stddevs=np.full(len(fixes.t), 3.0)),))
     assert check(log).causes == ()
@@ -434,10 +434,10 @@ def test_fixes_that_a_log_holds_until_the_next_one_are_not_called_frozen(period:
     (fixes,) = log.fixes
     t = np.arange(fixes.t[0], fixes.t[-1], 0.05)
     last = np.searchsorted(fixes.t, t, side="right") - 1
-    held = replace(fixes, t=t, places=fixes.places[last], stddevs=fixes.stddevs[last])
-    found = check(replace(log, fixes=(held,)))
-    assert not any("repeats" in question.what for question in found.undetermined)
-    assert {cause.cause for cause in found.causes} <= {"source_delay"}
+    repeated = replace(fixes, t=t, places=fixes.places[last], stddevs=fixes.stddevs[last])
+    result = check(replace(log, fixes=(repeated,)))
+    assert not any("repeats" in question.what for question in result.undetermined)
+    assert {cause.cause for cause in result.causes} <= {"source_delay"}
 
 
 def test_a_course_over_ground_is_no_heading() -> None:
@@ -503,17 +503,17 @@ def test_certain_but_ambiguous_mistake_is_an_open_question(name: str) -> None:
     inject, sensors, words = QUESTIONS[name]
     log = make_drive(**sensors)
     assert check(log).open_questions == ()
-    found = check(inject(log))
-    assert found.causes == ()
-    assert any(words in question.what for question in found.open_questions)
+    result = check(inject(log))
+    assert result.causes == ()
+    assert any(words in question.what for question in result.open_questions)
 
 
 def test_a_tread_in_feet_is_not_passed_over() -> None:
     """Gyro and headings agree on turns that tracks of that tread cannot make."""
     log = drive()
-    found = check(replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)))
-    assert found.causes == ()
-    (question,) = found.open_questions
+    result = check(replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)))
+    assert result.causes == ()
+    (question,) = result.open_questions
     assert "tread" in question.what
 
 
@@ -523,7 +523,7 @@ def test_a_source_with_one_reading_in_two_seconds_is_no_mistake(source: str) -> 
     log = make_drive()
     (gyro,), (fixes,), tracks = log.gyros, log.fixes, log.tracks
     every = slice(None, None, 10 if source == "fixes" else 100)
-    starved = {
+    sparse = {
         "tracks": {"tracks": Tracks(tracks.t[every], tracks.speeds[every], tracks.angles[every])},
         "gyro": {
             "gyros": (
@@ -538,7 +538,7 @@ def test_a_source_with_one_reading_in_two_seconds_is_no_mistake(source: str) -> 
             )
         },
     }
-    assert check(replace(log, **starved[source])).causes == ()
+    assert check(replace(log, **sparse[source])).causes == ()
 
 
 @pytest.mark.parametrize("rate", [1.002, 0.998])
@@ -553,9 +553,9 @@ def test_encoders_on_a_clock_that_is_fast_or_slow_are_named(rate: float) -> None
 @pytest.mark.parametrize("rate", [1.002, 0.998])
 def test_clock_drift_between_two_sources_is_an_open_question(rate: float) -> None:
     log = make_drive(programme=3 * PROGRAMME, has_heading=False)
-    found = check(replace(log, tracks=replace(log.tracks, t=rate * log.tracks.t)))
-    assert found.causes == ()
-    assert any("drift apart" in question.what for question in found.open_questions)
+    result = check(replace(log, tracks=replace(log.tracks, t=rate * log.tracks.t)))
+    assert result.causes == ()
+    assert any("drift apart" in question.what for question in result.open_questions)
 
 
 def cut_columns(log: Log, *, has_fractions: bool) -> Columns:
@@ -619,5 +619,5 @@ def test_a_count_that_is_stated_far_too_small_is_named(counts: Counts, expected:
 def test_machine_that_moves_across_its_heading_in_both_gears_slides(slide: float, *, expected: bool) -> None:
     """A slide on a side slope of clay must not be reported as a wrong radius or a wrong heading."""
     log = make_drive(programme=STRAIGHT, slide=slide)
-    found = is_sliding(Drive.from_sources(log, log.gyros[0], log.fixes[0], log.compasses[0]))
-    assert found is expected
+    drive_slides = is_sliding(Drive.from_sources(log, log.gyros[0], log.fixes[0], log.compasses[0]))
+    assert drive_slides is expected

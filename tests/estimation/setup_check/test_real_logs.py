@@ -5,7 +5,6 @@
 The whole matrix (each mistake, each log) is slow; it prints what is named, false or undetermined.
 """
 
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -41,7 +40,7 @@ REDUCED = (
     "x and y",
     "diameter for radius",
 )
-SOUND = {"warthog": 129.0}  # s, until which its reference is stuck or late
+HEALTHY_FROM = {"warthog": 129.0}  # s; before, its reference is stuck or late
 LEAST_SHARE = 0.95  # of mistakes for which a log has enough motion
 
 
@@ -77,7 +76,8 @@ def log_of_bag(path: Path) -> Log:
     return log
 
 
-def _new(index: FloatArray) -> FloatArray:
+def _first_rows(index: FloatArray) -> FloatArray:
+    """Indices of the rows at which ``index`` has a new value."""
     return np.concatenate(([0], np.flatnonzero(np.diff(index)) + 1))
 
 
@@ -87,13 +87,13 @@ def _tracks(t: FloatArray, left: FloatArray, right: FloatArray) -> Tracks:
 
 
 def _one_axis(t: FloatArray, rate: FloatArray, force: FloatArray | None = None) -> Gyro:
-    nothing = np.full(len(t), np.nan)
+    unknown = np.full(len(t), np.nan)
     forces = np.full((len(t), 3), np.nan) if force is None else force
-    return Gyro("imu/data_raw", t, np.column_stack((nothing, nothing, rate)), forces)
+    return Gyro("imu/data_raw", t, np.column_stack((unknown, unknown, rate)), forces)
 
 
 def _marmotte(log: FloatArray) -> Log:
-    t, new = log["t"], _new(log["idx"])
+    t, new = log["t"], _first_rows(log["idx"])
     late = t[new] - 0.25
     gyro = _one_axis(t, log["gz"], np.column_stack([log[name] for name in ("ax", "ay", "az")]))
     places = np.column_stack((log["x"], log["y"]))[new]
@@ -105,7 +105,7 @@ def _marmotte(log: FloatArray) -> Log:
 
 
 def _warthog(log: FloatArray) -> Log:
-    t, new = log["t"], _new(log["icp_index"])
+    t, new = log["t"], _first_rows(log["icp_index"])
     rates = np.column_stack([log[f"imu_{axis}"] for axis in "xyz"])
     forces = np.column_stack([log[f"imu_acceleration_{axis}"] for axis in "xyz"])
     places = np.column_stack((log["icp_pos_x"], log["icp_pos_y"]))[new]
@@ -120,7 +120,7 @@ def _warthog(log: FloatArray) -> Log:
 def _mower(log: FloatArray, receiver: bool = False) -> Log:
     t, v, rate, radius, tread = log["t"], log["v"], log["gz"], 0.2, 1.0
     tracks = _tracks(t, (v - rate * tread / 2.0) / radius, (v + rate * tread / 2.0) / radius)
-    new = _new(log["gnss_index"]) if receiver else np.arange(len(t))
+    new = _first_rows(log["gnss_index"]) if receiver else np.arange(len(t))
     names = ("x_gnss", "y_gnss") if receiver else ("x", "y")
     places = np.column_stack([log[name] for name in names])[new]
     fixes = Fixes("gnss_pose", t[new], places, np.full(len(new), 0.9 if receiver else 0.02))
@@ -185,43 +185,39 @@ def test_mistakes_in_the_slalom_are_named(mistake: str) -> None:
     assert _outcome(recorded("slalom_sand"), mistake) == "named"
 
 
-def _matrix(log: Log) -> dict[str, str]:
-    return {name: _outcome(log, name) for name, mistake in MISTAKES.items() if _has(log, mistake)}
-
-
-def _check_matrix(name: str, log: Log, report: Callable[[str], None] = print) -> dict[str, str]:
-    found = _matrix(log)
+def _check_matrix(name: str, log: Log) -> dict[str, str]:
+    outcomes = {m: _outcome(log, m) for m, mistake in MISTAKES.items() if _has(log, mistake)}
     for outcome in ("named", "undetermined", "silent", "false"):
-        own = [mistake for mistake, one in found.items() if one.startswith(outcome)]
-        report(f"{name}: {outcome} {len(own)}" + (f": {', '.join(own)}" if outcome != "named" else ""))
-    assert not [f"{mistake}: {one}" for mistake, one in found.items() if one.startswith("false")]
-    return found
+        names = [mistake for mistake, one in outcomes.items() if one.startswith(outcome)]
+        print(f"{name}: {outcome} {len(names)}" + (f": {', '.join(names)}" if outcome != "named" else ""))
+    assert not [f"{mistake}: {one}" for mistake, one in outcomes.items() if one.startswith("false")]
+    return outcomes
 
 
-def assert_most_named(log: Log, found: dict[str, str], report: Callable[[str], None] = print) -> None:
+def assert_most_named(log: Log, outcomes: dict[str, str]) -> None:
     """Assert that most mistakes are named for which the log has enough motion."""
-    shown = [name for name in found if name not in AMBIGUOUS and holds(log, MISTAKES[name].needs)]
-    unnamed = [name for name in shown if found[name] != "named"]
-    report(f"  least motion for {len(shown)}, not named of these: {', '.join(unnamed) or 'none'}")
-    assert len(unnamed) <= (1.0 - LEAST_SHARE) * len(shown)
+    observable = [name for name in outcomes if name not in AMBIGUOUS and holds(log, MISTAKES[name].needs)]
+    unnamed = [name for name in observable if outcomes[name] != "named"]
+    print(f"  least motion for {len(observable)}, not named of these: {', '.join(unnamed) or 'none'}")
+    assert len(unnamed) <= (1.0 - LEAST_SHARE) * len(observable)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("span", [(0.0, 60.0), (60.0, 150.0), (60.0, 180.0)])
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_cause_is_found_in_a_healthy_variant_of_a_piece(name: str, span: tuple[float, float]) -> None:
-    start = SOUND.get(name, 0.0)
+    start = HEALTHY_FROM.get(name, 0.0)
     log = piece(_present(name), start + span[0], start + span[1])
-    found = {variant: check(change(log)) for variant, change in VARIANTS.items()}
-    assert {variant: result.causes for variant, result in found.items() if result.causes} == {}
+    results = {variant: check(change(log)) for variant, change in VARIANTS.items()}
+    assert {variant: result.causes for variant, result in results.items() if result.causes} == {}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_mistake_in_a_log_of_a_robot_is_called_another(name: str) -> None:
-    found = _check_matrix(name, _present(name))
+    outcomes = _check_matrix(name, _present(name))
     if name != "mower_gnss":  # errors of metres hide delays and gears
-        assert_most_named(robot(name), found)
+        assert_most_named(robot(name), outcomes)
 
 
 @pytest.mark.slow
@@ -242,8 +238,8 @@ def test_no_mistake_in_an_emulated_drive_is_called_another(vehicle: str, tmp_pat
 @pytest.mark.parametrize("name", ["marmotte", "warthog", "mower"])
 def test_of_two_mistakes_on_a_robot_one_is_named_and_nothing_else_in_four_of_five(name: str) -> None:
     log, random = _present(name), np.random.default_rng(0)
-    shown = sorted(m for m in MISTAKES.keys() - AMBIGUOUS if holds(log, MISTAKES[m].needs))
-    pairs = [[MISTAKES[m] for m in random.choice(shown, 2, replace=False)] for _ in range(60)]
+    observable = sorted(m for m in MISTAKES.keys() - AMBIGUOUS if holds(log, MISTAKES[m].needs))
+    pairs = [[MISTAKES[m] for m in random.choice(observable, 2, replace=False)] for _ in range(60)]
     named = 0
     for first, second in pairs:
         causes = {cause.cause for cause in check(second.inject(first.inject(log))).causes}

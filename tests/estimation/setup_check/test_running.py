@@ -37,25 +37,25 @@ def parameters() -> SlipEstimatorParameters:
 
 def measurements(log: Log, begin_s: float, signs: tuple[float, float], gyro: float) -> Iterator[Measurement]:
     """Measurements of a drive in the order of stamps."""
-    found: list[Measurement] = []
+    unsorted: list[Measurement] = []
     for t, (left, right) in zip(log.tracks.t, log.tracks.speeds, strict=True):
-        found.append(Sprockets("sprockets", _ns(begin_s + t), signs[0] * left, signs[1] * right))
+        unsorted.append(Sprockets("sprockets", _ns(begin_s + t), signs[0] * left, signs[1] * right))
     for t, rate in zip(log.gyros[0].t, log.gyros[0].rates[:, 2], strict=True):
-        found.append(YawRate("imu/data_raw", _ns(begin_s + t), gyro * rate, 2e-5))
+        unsorted.append(YawRate("imu/data_raw", _ns(begin_s + t), gyro * rate, 2e-5))
     covariance = np.diag((4e-4, 4e-4, 1e-4))
     places, headings = log.fixes[0].places, log.compasses[0].headings
     for t, place, heading in zip(log.fixes[0].t, places, headings, strict=True):
         pose = np.array((*place, heading))
-        found.append(PoseFix("gnss_pose", _ns(begin_s + t), pose, covariance))
-    return iter(sorted(found, key=lambda m: m.stamp_ns))
+        unsorted.append(PoseFix("gnss_pose", _ns(begin_s + t), pose, covariance))
+    return iter(sorted(unsorted, key=lambda m: m.stamp_ns))
 
 
 def _ns(t: float) -> int:
     return 1_700_000_000_000_000_000 + round(t * 1e9)
 
 
-def causes_after(check: RunningCheck, given: Iterator[Measurement], stop_s: float) -> set[str]:
-    for m in given:
+def causes_after(check: RunningCheck, stream: Iterator[Measurement], stop_s: float) -> set[str]:
+    for m in stream:
         if m.stamp_ns > _ns(stop_s):
             break
         check.add(m)
@@ -71,8 +71,8 @@ def test_setup_mistake_is_reported_and_cleared_once_corrected(
 ) -> None:
     check, drive = RunningCheck(parameters), make_drive()
     assert causes_after(check, measurements(drive, 0.0, signs, gyro), NAMED_S) == {cause}
-    mended = measurements(drive, NAMED_S + 0.5, (1.0, 1.0), 1.0)
-    assert causes_after(check, mended, NAMED_S + END_S) == set()
+    corrected = measurements(drive, NAMED_S + 0.5, (1.0, 1.0), 1.0)
+    assert causes_after(check, corrected, NAMED_S + END_S) == set()
 
 
 def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> None:
@@ -87,10 +87,10 @@ def test_mistake_that_is_one_of_several_is_reported_from_the_second_check(
     frozen = replace(
         drive, compasses=(replace(drive.compasses[0], headings=0.0 * drive.compasses[0].headings),)
     )
-    given = measurements(frozen, 0.0, (1.0, 1.0), 1.0)
-    assert causes_after(check, given, NAMED_S) == set()
+    stream = measurements(frozen, 0.0, (1.0, 1.0), 1.0)
+    assert causes_after(check, stream, NAMED_S) == set()
     assert check.result.is_plausible
-    assert causes_after(check, given, NAMED_S + 15.0) == set()
+    assert causes_after(check, stream, NAMED_S + 15.0) == set()
     assert any("headings of" in question.what for question in check.result.open_questions)
 
 
@@ -101,10 +101,10 @@ def test_before_anything_is_measured_there_is_no_cause(parameters: SlipEstimator
 @pytest.mark.parametrize(("is_wrong", "level"), [(True, WARN), (False, OK)])
 def test_a_mistake_that_is_certain_but_one_of_several_is_a_warning(is_wrong: bool, level: bytes) -> None:
     question = OpenQuestion("encoders without a direction, or a cab that swung", "drive in reverse", is_wrong)
-    found = setup_health(Result(undetermined=(question,)))
-    assert found.level == level
+    health = setup_health(Result(undetermined=(question,)))
+    assert health.level == level
     assert (
-        found.message == "encoders without a direction, or a cab that swung: drive in reverse"
+        health.message == "encoders without a direction, or a cab that swung: drive in reverse"
     ) == is_wrong
 
 

@@ -38,12 +38,14 @@ P = load_soil_parameters()
 VEHICLE = P.vehicle.whole()
 NUMBERS = make_config(P)[0]
 CENTRE = VEHICLE.centre_of_gravity
-KNOWN = new_gravity_centre(P.vehicle)
+GRAVITY_CENTRE = new_gravity_centre(P.vehicle)
 CAB = load_soil_parameters({"vehicle": "pc05_cab"})
 TILT = st.floats(-0.35, 0.35)
 
 
-def load_at(roll: float, pitch: float, variance: float = 0.0, centre: Any = KNOWN, p: Any = NUMBERS) -> Any:
+def load_at(
+    roll: float, pitch: float, variance: float = 0.0, centre: Any = GRAVITY_CENTRE, p: Any = NUMBERS
+) -> Any:
     return load_swung(0.0, math.inf, centre, p, ((roll, pitch), (variance, variance)))
 
 
@@ -151,19 +153,19 @@ def test_uncertain_swing_widens_the_track_loads_as_by_sampling(swing: float, std
     rng = np.random.default_rng(1)
     angles = swing + stddev * rng.standard_normal(4000) if stddev < 9.0 else rng.uniform(-np.pi, np.pi, 4000)
     loads = [load_swung(angle, 0.0) for angle in angles.tolist()]
-    own = load_swung(swing, stddev)
+    load = load_swung(swing, stddev)
     for name in ("strength", "lean"):
-        drawn = np.array([load[name] for load in loads])
-        assert own[name] == pytest.approx(drawn.mean(axis=0), abs=0.08 * np.std(drawn) + 1e-3)
-    leans, strengths = (np.array([load[name] for load in loads]) for name in ("lean", "strength"))
-    assert own["lean_stddev"] == pytest.approx(leans.std(), rel=0.05)
-    of_friction = np.square(P.load.friction_share_stddev * (2.0 * own["normal"] / VEHICLE.weight - 1.0))
-    assert own["strength_variance"] - of_friction == pytest.approx(strengths.var(axis=0), rel=0.05)
+        values = np.array([one[name] for one in loads])
+        assert load[name] == pytest.approx(values.mean(axis=0), abs=0.08 * np.std(values) + 1e-3)
+    leans, strengths = (np.array([one[name] for one in loads]) for name in ("lean", "strength"))
+    assert load["lean_stddev"] == pytest.approx(leans.std(), rel=0.05)
+    friction = np.square(P.load.friction_share_stddev * (2.0 * load["normal"] / VEHICLE.weight - 1.0))
+    assert load["strength_variance"] - friction == pytest.approx(strengths.var(axis=0), rel=0.05)
 
 
 def test_swing_angle_has_no_effect_without_an_upper_structure() -> None:
     for stddev in (0.0, 1.0, math.inf):
-        assert load_swung(2.0, stddev, KNOWN) == load_swung(0.0, 0.0, KNOWN)
+        assert load_swung(2.0, stddev, GRAVITY_CENTRE) == load_swung(0.0, 0.0, GRAVITY_CENTRE)
 
 
 def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
@@ -175,9 +177,9 @@ def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
     j = np.zeros((2, n, 2))
     j[:, :, 0] = -slip * (0.5 * length - contact.x_e)
     pulls = []
-    for of in (0.0, lean):
+    for load_lean in (0.0, lean):
         rolling, q = (
-            Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), of),
+            Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), load_lean),
             np.zeros((2, 1)),
         )
         fill_mobilised_shares(

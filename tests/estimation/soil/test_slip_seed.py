@@ -47,33 +47,33 @@ def thrust_at(slips: tuple[float, float]) -> Thrust:
 @pytest.mark.slow
 def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
-    known = thrust_at((0.02, 0.03))
-    found = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
-    np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
+    measured = thrust_at((0.02, 0.03))
+    estimate = straight_slips(measured, np.ones(2), SOIL, P.seed, LENGTH)
+    np.testing.assert_allclose(estimate[0], (0.02, 0.03), rtol=1e-9)
     samples = []
-    stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
+    stddev = np.sqrt(measured.variance + P.seed.thrust_stddev**2)
     for z in rng.standard_normal((count, 5)):
         modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
         limit = SOIL.thrust_limit * (3603.0 / 3400.0) ** (z[1] / 3.29)
         soil = replace(SOIL, shear_modulus=modulus, thrust_limit=limit)
         one = straight_slips(
-            Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
+            Thrust(measured.force + stddev * z[2:4], measured.variance), np.ones(2), soil, P.seed, LENGTH
         )
         samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
-    np.testing.assert_allclose(found[1], np.cov(np.array(samples).T), rtol=0.2)
+    np.testing.assert_allclose(estimate[1], np.cov(np.array(samples).T), rtol=0.2)
 
 
 def test_seed_has_the_sign_of_slip_in_reverse_and_when_braking() -> None:
-    known = thrust_at((0.02, -0.01))
-    forward = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
-    reverse = straight_slips(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    measured = thrust_at((0.02, -0.01))
+    forward = straight_slips(measured, np.ones(2), SOIL, P.seed, LENGTH)
+    reverse = straight_slips(Thrust(-measured.force, measured.variance), -np.ones(2), SOIL, P.seed, LENGTH)
     np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
 def test_thrust_beyond_the_soil_limit_gives_no_seed() -> None:
     ride = Ride()
-    ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    ride.thrust = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
     ride.seeds(Motion.TURNING, 1.0)
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
 
@@ -83,23 +83,23 @@ class Ride:
 
     def __init__(self) -> None:
         self._seeder, self._numbers, self._now_ns = np.zeros(1, dtype_of(Seeder))[0], make_config(P)[0], 0
-        self.known: Thrust | None = thrust_at((0.02, 0.02))
+        self.thrust: Thrust | None = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 
     def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
         """Seeds while the machine drives ``lengths`` contact lengths in one motion state."""
-        found = []
+        seeds = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
-            thrusts = (None, np.ones(2)) if self.known is None else self.known
+            thrusts = (None, np.ones(2)) if self.thrust is None else self.thrust
             moment = Sample(0.1, TRACKS, thrusts=thrusts[0], thrust_variances=thrusts[1], motion=motion)
             sample, thrust = moment.records()
             sample["stamp_ns"] = self._now_ns
             if self.soil is not None:
                 set_strength(self._seeder, self.soil)
             if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
-                found.append(make_seed(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
-        return found
+                seeds.append(make_seed(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
+        return seeds
 
 
 def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
@@ -117,9 +117,9 @@ def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
 def test_unknown_thrust_gives_no_seed() -> None:
     ride = Ride()
     ride.seeds(Motion.TURNING, 1.0)
-    known, ride.known = ride.known, None
+    measured, ride.thrust = ride.thrust, None
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
-    ride.known = known
+    ride.thrust = measured
     assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
 
 
@@ -146,20 +146,20 @@ LEGS = (
 
 
 @cache
-def ride_on(soil: str) -> tuple[SoilInput, ...]:
-    truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*leg) for leg in LEGS)))
+def loam_inputs() -> tuple[SoilInput, ...]:
+    truth = simulate(Scenario(name="test", soil="sandy_loam", segments=tuple(Segment(*leg) for leg in LEGS)))
     sensing = InputErrors(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
     return tuple(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, sensing))
 
 
-def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
+def seeds_on_loam(**changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
     estimator = SoilEstimator(load_soil_parameters({k.replace("__", "."): v for k, v in changes.items()}))
-    outputs = [output for given in ride_on(soil) for output in estimator.advance(given)]
+    outputs = [output for soil_input in loam_inputs() for output in estimator.advance(soil_input)]
     return [output for output in outputs if isinstance(output, SlipSeed)], estimator
 
 
 def test_soil_estimator_publishes_one_seed_after_each_turn() -> None:
-    seeds, estimator = seeds_on("sandy_loam")
+    seeds, estimator = seeds_on_loam()
     assert estimator.strength.identifiable
     after = [(seed.stamp_ns - seeds[0].stamp_ns) * 1e-9 for seed in seeds]
     assert after == pytest.approx([0.0, 23.0], abs=1.0)
@@ -169,7 +169,7 @@ def test_soil_estimator_publishes_one_seed_after_each_turn() -> None:
 
 
 def test_soil_estimator_publishes_no_seed_for_unidentifiable_soil() -> None:
-    seeds, estimator = seeds_on("sandy_loam", strength__widest_ratio=1.01)
+    seeds, estimator = seeds_on_loam(strength__widest_ratio=1.01)
     assert not estimator.strength.identifiable
     assert seeds == []
 

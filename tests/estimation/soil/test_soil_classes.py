@@ -24,20 +24,20 @@ AXES = (GRID.log_moduli, GRID.log_limits)
 CLASSES = SoilClasses(P.classes, SOILS.values(), VEHICLE, GRID)
 
 
-def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> FloatArray:
+def posterior_about(modulus: float, limit: float) -> FloatArray:
     """A narrow posterior about one soil."""
-    k, f = ((a - math.log(v)) / spread for a, v in zip(AXES, (modulus, limit), strict=True))
+    k, f = ((a - math.log(v)) / 0.03 for a, v in zip(AXES, (modulus, limit), strict=True))
     grid = np.exp(-0.5 * (k[:, None] ** 2 + f[None, :] ** 2))
     return np.asarray(grid / grid.sum())
 
 
 @pytest.mark.parametrize("name", [name for name, s in SOILS.items() if s.shear_modulus is not None])
 def test_each_soil_is_found_at_its_own_strength(name: str) -> None:
-    found = CLASSES.probabilities(
+    probabilities = CLASSES.probabilities(
         posterior_about(SOILS[name].value("shear_modulus"), soil_thrust_limit(SOILS[name], VEHICLE))
     )
-    assert max(found, key=lambda other: found[other]) == name
-    assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
+    assert max(probabilities, key=lambda other: probabilities[other]) == name
+    assert sum(probabilities.values()) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("modulus", "limit"), [(0.06, 2000.0), (0.002, 8000.0), (0.05, 1500.0)])
@@ -47,9 +47,9 @@ def test_unknown_soil_is_classified_as_none_of_these(modulus: float, limit: floa
 
 def test_flat_posterior_gives_the_priors() -> None:
     flat = np.full((AXES[0].size, AXES[1].size), 1.0 / (AXES[0].size * AXES[1].size))
-    found = CLASSES.probabilities(flat)
-    assert found[NONE] == pytest.approx(P.classes.none_prior, abs=0.01)
-    assert found["sand"] == pytest.approx((1.0 - P.classes.none_prior) / len(SOILS), rel=0.05)
+    probabilities = CLASSES.probabilities(flat)
+    assert probabilities[NONE] == pytest.approx(P.classes.none_prior, abs=0.01)
+    assert probabilities["sand"] == pytest.approx((1.0 - P.classes.none_prior) / len(SOILS), rel=0.05)
 
 
 def test_soil_without_modulus_matches_any_modulus() -> None:

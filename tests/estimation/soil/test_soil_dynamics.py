@@ -36,7 +36,7 @@ def driven(name: str) -> tuple[Truth, list[SoilState]]:
     scenario = Scenario(name="test", soil=name, segments=tuple(Segment(*row) for row in SEGMENTS))
     truth, estimator = simulate(scenario), SoilEstimator(P)
     outputs = [
-        o for given in soil_inputs(truth, VEHICLE, MOTION, InputErrors()) for o in estimator.advance(given)
+        o for one in soil_inputs(truth, VEHICLE, MOTION, InputErrors()) for o in estimator.advance(one)
     ]
     return truth, [output for output in outputs if isinstance(output, SoilState)]
 
@@ -67,8 +67,8 @@ def test_mobilised_lateral_resistance_is_the_moment_within_ten_percent(name: str
 
 def test_lateral_resistance_is_held_while_driving_straight() -> None:
     _, states = driven("sand")
-    held = [state.mu_l for state in within(states, (17.5, 19.0))]
-    assert max(held) - min(held) < 1e-3 < 0.2 < held[0]
+    mu_l = [state.mu_l for state in within(states, (17.5, 19.0))]
+    assert max(mu_l) - min(mu_l) < 1e-3 < 0.2 < mu_l[0]
 
 
 class Filter:
@@ -126,11 +126,11 @@ def test_resistance_is_held_while_a_machine_on_a_slope_may_be_at_standstill() ->
     climbing = np.full(2, (mu_r * VEHICLE.weight - pull) / 2.0)
     for _ in range(1000):
         dynamics.step(Motion.STRAIGHT, np.array((0.3, 0.0, 0.0)), climbing, 1e-3)
-    known = dynamics.mu[0]
-    assert known == pytest.approx(mu_r, rel=0.01)
+    before = dynamics.mu[0]
+    assert before == pytest.approx(mu_r, rel=0.01)
     for _ in range(200):
         dynamics.step(Motion.STRAIGHT, np.array((-0.06, 0.0, 0.0)), np.full(2, -pull / 2.0), 0.03)
-    assert dynamics.mu[0] == pytest.approx(known, abs=0.01)
+    assert dynamics.mu[0] == pytest.approx(before, abs=0.01)
 
 
 def test_uncertain_inertia_widens_the_resistance_while_a_turn_begins() -> None:

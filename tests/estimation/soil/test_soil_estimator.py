@@ -55,7 +55,9 @@ def swung(angle: float, stddev: float | None) -> tuple[SoilInput, ...]:
 
 
 @cache
-def given(soil: str = "sand", segments: tuple[tuple[float, float, float], ...] = SEGMENTS) -> list[SoilInput]:
+def inputs_of(
+    soil: str = "sand", segments: tuple[tuple[float, float, float], ...] = SEGMENTS
+) -> list[SoilInput]:
     truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*row) for row in segments)))
     return list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
 
@@ -73,14 +75,14 @@ def at(outputs: list[SoilOutput], kind: type, t: float) -> SoilOutput:
 def corrupted(corrupt: Corrupt) -> list[SoilInput]:
     """The drive with readings changed by ``corrupt`` from BEFORE to FAULT_ENDS."""
     inputs: list[SoilInput] = []
-    for one in given():
+    for one in inputs_of():
         t = (one.stamp_ns - START_NS) * 1e-9
-        spoilt = corrupt(one) if isinstance(one, Hydraulics) and BEFORE <= t < FAULT_ENDS else one
-        inputs += [] if spoilt is None else [spoilt]
+        changed = corrupt(one) if isinstance(one, Hydraulics) and BEFORE <= t < FAULT_ENDS else one
+        inputs += [] if changed is None else [changed]
     return inputs
 
 
-def accused(estimator: SoilEstimator) -> set[str]:
+def pressure_faults(estimator: SoilEstimator) -> set[str]:
     """Faults of the pressures. The first sample has none, because readings follow the slips."""
     before = {*(unused.value for unused in UnusedReason), PressureFault.DROPPED.value}
     return {reason for _, reason in estimator.tally.total} - before
@@ -88,18 +90,18 @@ def accused(estimator: SoilEstimator) -> set[str]:
 
 def test_pressure_from_digging_at_standstill_is_counted_as_unused() -> None:
     """Digging at standstill: 3 bar, below the limit of an offset."""
-    inputs = given(segments=((10.0, 0.0, 0.0),))
+    inputs = inputs_of(segments=((10.0, 0.0, 0.0),))
     digging = [
         replace(one, left_pressure=one.left_pressure + 3e5)
         if isinstance(one, Hydraulics) and one.stamp_ns > START_NS + 6e9
         else one
         for one in inputs
     ]
-    still, digs = SoilEstimator(P), SoilEstimator(P)
-    run(inputs, still)
-    run(digging, digs)
-    assert still.tally.total["hydraulics", UnusedReason.AT_REST.value] == 0
-    assert digs.tally.total["hydraulics", UnusedReason.AT_REST.value] == pytest.approx(400, abs=5)
+    at_rest, disturbed = SoilEstimator(P), SoilEstimator(P)
+    run(inputs, at_rest)
+    run(digging, disturbed)
+    assert at_rest.tally.total["hydraulics", UnusedReason.AT_REST.value] == 0
+    assert disturbed.tally.total["hydraulics", UnusedReason.AT_REST.value] == pytest.approx(400, abs=5)
 
 
 FAULTS: dict[PressureFault, Corrupt] = {
@@ -119,8 +121,8 @@ FAULTS: dict[PressureFault, Corrupt] = {
 def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance(fault: PressureFault) -> None:
     estimator = SoilEstimator(P)
     inputs = corrupted(FAULTS[fault])
-    half = [i for i in inputs if i.stamp_ns < START_NS + (FAULT_ENDS - 0.1) * 1e9]
-    outputs = run(half, estimator)
+    until_the_end = [i for i in inputs if i.stamp_ns < START_NS + (FAULT_ENDS - 0.1) * 1e9]
+    outputs = run(until_the_end, estimator)
     assert estimator.faults == (fault,)
     assert estimator.tally.total["hydraulics", fault.value] > 400
     before, after = (at(outputs, SoilState, t) for t in (BEFORE, FAULT_ENDS))
@@ -147,7 +149,7 @@ def test_estimates_recover_after_a_fault() -> None:
 
 
 def test_outputs_come_on_the_grids_of_their_periods() -> None:
-    outputs = run(given())
+    outputs = run(inputs_of())
     for kind, period in ((TrackForces, P.forces_period), (SoilState, P.soil_period)):
         stamps = [o.stamp_ns for o in outputs if isinstance(o, kind)]
         assert np.diff(stamps) == pytest.approx(period * 1e9)
@@ -158,7 +160,7 @@ def test_outputs_come_on_the_grids_of_their_periods() -> None:
 @pytest.mark.parametrize("p", [P, CAB], ids=["pc05", "pc05_cab"])
 def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimatorParameters) -> None:
     """Hydraulics are up to 0.2 s early or late."""
-    inputs = given() if p is P else list(swung(1.5, 0.01)[:4000])
+    inputs = inputs_of() if p is P else list(swung(1.5, 0.01)[:4000])
     rng = np.random.default_rng(5)
     delay = dict.fromkeys(range(len(SOURCES)), 0.0)
     keys = []
@@ -168,9 +170,9 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
         keys.append(delay[topic])
     shuffled = [inputs[k] for k in np.argsort(keys, kind="stable")]
     assert [one.source for one in shuffled] != [one.source for one in inputs]
-    requested, found = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
-    assert len(requested) - len(found) in (0, 1, 2, 3)  # the last ones may still wait
-    assert [repr(o) for o in found] == [repr(o) for o in requested[: len(found)]]
+    expected, outputs = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
+    assert len(expected) - len(outputs) in (0, 1, 2, 3)  # the last ones may still wait
+    assert [repr(o) for o in outputs] == [repr(o) for o in expected[: len(outputs)]]
 
 
 @pytest.mark.parametrize(
@@ -182,14 +184,14 @@ def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
     """Without the swing F_max is 20 % too small across and 4 % too large backward."""
     true = soil_thrust_limit(soil("sand"), CAB.vehicle.whole())
     known, unknown = (run(swung(angle, stddev), SoilEstimator(CAB)) for stddev in (0.01, None))
-    found, wide = (at(outputs, SoilState, 99.0) for outputs in (known, unknown))
-    assert isinstance(found, SoilState)
+    precise, wide = (at(outputs, SoilState, 99.0) for outputs in (known, unknown))
+    assert isinstance(precise, SoilState)
     assert isinstance(wide, SoilState)
-    assert found.strength.thrust_limit == pytest.approx(true, rel=0.02)
-    for state in (found, wide):
+    assert precise.strength.thrust_limit == pytest.approx(true, rel=0.02)
+    for state in (precise, wide):
         low, high = state.strength.thrust_limit_interval
         assert low < true < high
-    widths = [math.log(b / a) for a, b in (s.strength.thrust_limit_interval for s in (found, wide))]
+    widths = [math.log(b / a) for a, b in (s.strength.thrust_limit_interval for s in (precise, wide))]
     assert widths[1] > 1.5 * widths[0]
 
 
@@ -204,20 +206,20 @@ def test_batches_of_inputs_give_the_same_bits_as_single_ones(chunk: int) -> None
     parts = [p for k in range(0, len(records), chunk) for p in replayed.advance_all(records[k : k + chunk])]
     forces = np.concatenate([part.forces for part in parts])
     states = [state for part in parts for state in part.states]
-    requested = run(inputs, live)
-    assert repr(states) == repr([o for o in requested if isinstance(o, SoilState)])
+    expected = run(inputs, live)
+    assert repr(states) == repr([o for o in expected if isinstance(o, SoilState)])
     for name in ("stamp_ns", "thrust", "thrust_variance", "resistance", "resistance_variance", "reserve"):
-        own = [getattr(o, name) for o in requested if isinstance(o, TrackForces)]
-        np.testing.assert_array_equal(forces[name], own)
+        column = [getattr(o, name) for o in expected if isinstance(o, TrackForces)]
+        np.testing.assert_array_equal(forces[name], column)
     assert replayed.tally.total == live.tally.total
     assert replayed.is_stuck == live.is_stuck
 
 
 def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None:
     ordinary, spinning = SoilEstimator(P), SoilEstimator(P)
-    run(given(), ordinary)
+    run(inputs_of(), ordinary)
     assert ordinary.is_stuck == (False, False)
-    outputs = run(given("clayey_soil", SPINNING), spinning)
+    outputs = run(inputs_of("clayey_soil", SPINNING), spinning)
     assert spinning.is_stuck == (False, True)
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
@@ -232,7 +234,7 @@ def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None
 def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:
     """The machine drives straight on at the speed of the inner track."""
     estimator = SoilEstimator(P)
-    outputs = run(given("clayey_soil", ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.9, 2.28))), estimator)
+    outputs = run(inputs_of("clayey_soil", ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.9, 2.28))), estimator)
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
@@ -248,7 +250,7 @@ def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
         return replace(one, right_pressure=-1.6 * one.right_pressure) if isinstance(one, Hydraulics) else one
 
     estimator = SoilEstimator(P)
-    outputs = run(map(drag, given("clayey_soil", SPINNING)), estimator)
+    outputs = run(map(drag, inputs_of("clayey_soil", SPINNING)), estimator)
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
@@ -282,7 +284,7 @@ def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None
     assert begins < by_time[0][0] < begins + 1.0
     assert ends < by_time[-1][0] < ends + 1.0
     assert len([t for t in stalled if by_time[0][0] <= t <= by_time[-1][0]]) == len(by_time)  # continuously
-    assert accused(estimator) == set()
+    assert pressure_faults(estimator) == set()
 
 
 @pytest.mark.parametrize("soil", ["sandy_loam", "dry_clay"])
@@ -297,15 +299,15 @@ def test_healthy_pressures_are_never_called_swapped_or_of_another_unit(soil: str
         (1.0, -1.5, -2.2),
     )
     estimator = SoilEstimator(P)
-    run(given(soil, ((1.0, 0.0, 0.0), (2.0, 2.2, 2.2), *turns, (1.0, 0.0, 0.0))), estimator)
-    assert accused(estimator) == set()
+    run(inputs_of(soil, ((1.0, 0.0, 0.0), (2.0, 2.2, 2.2), *turns, (1.0, 0.0, 0.0))), estimator)
+    assert pressure_faults(estimator) == set()
     assert estimator.stalled == (False, False)
 
 
 def test_a_clock_set_back_restarts_the_estimate() -> None:
-    early = [replace(one, stamp_ns=one.stamp_ns - START_NS) for one in given()]
+    early = [replace(one, stamp_ns=one.stamp_ns - START_NS) for one in inputs_of()]
     estimator = SoilEstimator(P)
-    outputs = run([*given(), *early], estimator)
+    outputs = run([*inputs_of(), *early], estimator)
     assert estimator.restarts == 1
     fresh = [o for o in outputs if o.stamp_ns < START_NS]
     last = at(fresh, SoilState, 0.0)
@@ -315,7 +317,7 @@ def test_a_clock_set_back_restarts_the_estimate() -> None:
 
 def test_volumetric_efficiency_is_estimated_from_spools_and_speeds() -> None:
     estimator = SoilEstimator(P)
-    run(given(), estimator)
+    run(inputs_of(), estimator)
     assert estimator.volumetric_efficiency == pytest.approx(P.vehicle.whole().volumetric_efficiency, rel=0.02)
 
 

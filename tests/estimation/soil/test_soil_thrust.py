@@ -35,8 +35,8 @@ class Meter:
     def learn(self, pressures: np.ndarray | None) -> bool:
         """Update the offsets after STEP; None means motion. Returns whether a pressure was rejected."""
         is_standing = pressures is not None
-        shown = pressures if is_standing else np.zeros(2)
-        return update_offsets(self.offsets, shown, is_standing, STEP, self._numbers)
+        readings = pressures if is_standing else np.zeros(2)
+        return update_offsets(self.offsets, readings, is_standing, STEP, self._numbers)
 
     def measure(self, pressures: np.ndarray, speeds: np.ndarray) -> np.void:
         thrust = np.zeros(1, THRUST)
@@ -47,8 +47,8 @@ class Meter:
         hold_thrust(thrust, STEP, self._numbers, self._motor)
 
 
-def learned(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 0.0) -> int:
-    """Number of samples with a rejected pressure."""
+def learn_for(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 0.0) -> int:
+    """Update the offsets for ``seconds`` at standstill; the number of samples with a rejected pressure."""
     rng = np.random.default_rng(1)
     return sum(meter.learn(pressures + noise * rng.standard_normal(2)) for _ in range(round(seconds / STEP)))
 
@@ -56,17 +56,17 @@ def learned(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 
 def test_digging_pressure_is_not_learned_as_an_offset() -> None:
     """3 bar for 8 s, below the limit of an offset, after a standstill in which the offset is observed."""
     meter, noise = Meter(), P.thrust.pressure_stddev
-    own = np.array((0.2 * BAR, -0.4 * BAR))
-    assert learned(meter, own, 10.0, noise) == 0
-    assert learned(meter, own + 3.0 * BAR, 8.0, noise) > 750
-    np.testing.assert_allclose(meter.offsets["mean"], own, atol=0.05 * BAR)
-    assert learned(meter, own, 10.0, noise) == 0
+    offsets = np.array((0.2 * BAR, -0.4 * BAR))
+    assert learn_for(meter, offsets, 10.0, noise) == 0
+    assert learn_for(meter, offsets + 3.0 * BAR, 8.0, noise) > 750
+    np.testing.assert_allclose(meter.offsets["mean"], offsets, atol=0.05 * BAR)
+    assert learn_for(meter, offsets, 10.0, noise) == 0
 
 
 def test_changed_offset_is_learned_after_its_persist_time() -> None:
     meter, noise = Meter(), P.thrust.pressure_stddev
-    learned(meter, np.zeros(2), 10.0, noise)
-    learned(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.persist_time, noise)
+    learn_for(meter, np.zeros(2), 10.0, noise)
+    learn_for(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.persist_time, noise)
     np.testing.assert_allclose(meter.offsets["mean"], 3.0 * BAR, atol=0.2 * BAR)
 
 
@@ -75,7 +75,7 @@ def test_thrust_is_right_within_three_percent_driving_and_braking(soil: str) -> 
     segments = (Segment(4.0, 2.0, 2.0), Segment(4.0, 0.8, 2.2), Segment(4.0, -1.5, -1.5))
     truth = simulate(Scenario(name="test", soil=soil, segments=segments)).interpolate(np.arange(0, 12, STEP))
     meter, rng = Meter(), np.random.default_rng(2)
-    learned(meter, np.zeros(2), 10.0, P.thrust.pressure_stddev)
+    learn_for(meter, np.zeros(2), 10.0, P.thrust.pressure_stddev)
     pressures = np.stack((truth.left_pressure, truth.right_pressure), axis=-1)
     pressures += P.thrust.pressure_stddev * rng.standard_normal(pressures.shape)
     speeds = np.stack((truth.left_speed, truth.right_speed), axis=-1)
@@ -94,11 +94,11 @@ def test_thrust_variance_covers_driving_and_braking_near_zero_speed() -> None:
     meter = Meter()
     pressures, speed = np.full(2, 50 * BAR), P.thrust.speed_stddev
     for true_speed in (0.0, 0.5 * speed, 5.0 * speed, -5.0 * speed):
-        found = meter.measure(pressures, np.full(2, true_speed))
+        measured = meter.measure(pressures, np.full(2, true_speed))
         for direction in (1.0, -1.0):
             true = float(thrust_of_pressure(50 * BAR, direction, P.vehicle.whole()))
             if true_speed * direction >= 0.0 or abs(true_speed) < speed:
-                assert (np.abs(found["force"] - true) < 3.0 * np.sqrt(found["variance"])).all()
+                assert (np.abs(measured["force"] - true) < 3.0 * np.sqrt(measured["variance"])).all()
     standing, driving = (meter.measure(pressures, np.full(2, w))["variance"] for w in (0.0, 1.0))
     assert (standing > 20.0 * driving).all()
 
@@ -121,35 +121,35 @@ def test_unknown_speed_gives_the_thrust_of_zero_speed() -> None:
 def test_offsets_of_two_bar_are_learned_to_a_tenth_in_ten_seconds_of_standing(offset: float) -> None:
     meter = Meter()
     true = np.array((offset, -0.5 * offset)) * BAR
-    learned(meter, true, 10.0, P.thrust.pressure_stddev)
+    learn_for(meter, true, 10.0, P.thrust.pressure_stddev)
     assert (np.abs(meter.offsets["mean"] - true) < 0.1 * BAR).all()
     assert (np.sqrt(meter.offsets["variance"]) < 0.1 * BAR).all()
 
 
 def test_trapped_oil_and_slopes_are_no_offsets() -> None:
     meter = Meter()
-    learned(meter, np.array((30.0, -8.0)) * BAR, 20.0)
+    learn_for(meter, np.array((30.0, -8.0)) * BAR, 20.0)
     np.testing.assert_array_equal(meter.offsets["mean"], 0.0)
 
 
 def test_offsets_wait_until_the_pressure_has_settled() -> None:
     meter = Meter()
     for _ in range(20):
-        learned(meter, np.full(2, BAR), 0.9 * P.thrust.settling_time)
+        learn_for(meter, np.full(2, BAR), 0.9 * P.thrust.settling_time)
         meter.learn(None)  # motion
     np.testing.assert_array_equal(meter.offsets["mean"], 0.0)
 
 
 def test_unobserved_thrust_is_held_with_variance_growing_to_relief() -> None:
     meter = Meter()
-    held = meter.measure(np.full(2, 50 * BAR), np.ones(2))
-    seen = held["force"].copy()
+    thrust = meter.measure(np.full(2, 50 * BAR), np.ones(2))
+    force = thrust["force"].copy()
     variances = []
     for _ in range(20_000):
-        meter.hold(held)
-        variances.append(float(held["variance"][0]))
-    np.testing.assert_array_equal(held["force"], seen)
-    assert not held["is_known"]
+        meter.hold(thrust)
+        variances.append(float(thrust["variance"][0]))
+    np.testing.assert_array_equal(thrust["force"], force)
+    assert not thrust["is_known"]
     assert (np.diff(variances) >= 0.0).all()
     assert variances[-1] == pytest.approx(
         float(thrust_of_pressure(P.vehicle.whole().relief_pressure, 1, P.vehicle.whole())) ** 2

@@ -30,19 +30,19 @@ SPEED, STEP = 0.35, 0.2
 MODULUS, LIMIT, FORCE = 0.01, 3640.0, 1290.0
 
 
-def pose_at(distance: float, yaw: float = 0.0, stddev: float = 0.0) -> PoseWithCovariance:
+def pose_at(distance: float, stddev: float = 0.0) -> PoseWithCovariance:
     """A pose ``distance`` m along a line in the direction of the heading; ``stddev`` of its position, m."""
-    pose = np.array((5.0 + distance * np.cos(yaw), -3.0 + distance * np.sin(yaw), yaw))
+    pose = np.array((5.0 + distance, -3.0, 0.0))
     return PoseWithCovariance(pose, np.diag((stddev**2, stddev**2, 0.0)))
 
 
-def slip_of(modulus: float, limit: float, force: float = FORCE) -> float:
-    """Slip of (3.3) at ``force``."""
-    return float(brentq(lambda slip: thrust(slip, limit, modulus, LENGTH) - force, 1e-6, 0.99))
+def slip_of(modulus: float, limit: float) -> float:
+    """Slip of (3.3) at ``FORCE``."""
+    return float(brentq(lambda slip: thrust(slip, limit, modulus, LENGTH) - FORCE, 1e-6, 0.99))
 
 
-def track_distance(straight: StraightSegment, distance: float, sign: float = 1.0) -> FloatArray:
-    """Slip distance of ``distance`` on each soil."""
+def slip_over(straight: StraightSegment, distance: float, sign: float = 1.0) -> FloatArray:
+    """Drive ``distance`` m; its slip distance on each soil."""
     before = straight.slip_distance().expected if straight.track_distance else 0.0
     twist = np.array((sign * SPEED, 0.0, 0.0))  # v_x of the twist is not used
     for _ in range(round(distance / (SPEED * STEP))):
@@ -53,8 +53,8 @@ def track_distance(straight: StraightSegment, distance: float, sign: float = 1.0
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_slip_of_a_straight_on_fresh_soil_is_that_of_equation_3_3(sign: float) -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
-    track_distance(straight, 2.0 * LENGTH, sign)
-    slips = track_distance(straight, 7.0, sign) / 7.0
+    slip_over(straight, 2.0 * LENGTH, sign)
+    slips = slip_over(straight, 7.0, sign) / 7.0
     for a in range(0, len(MODULI), 5):
         for b in range(3, len(LIMITS), 4):
             assert slips[a, b] == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
@@ -65,19 +65,19 @@ def test_soil_sheared_in_a_turn_gives_thrust_without_slip() -> None:
     sheared[:, :, 0] = -0.3  # as left by tracks that slip while driving forward
     straight = StraightSegment(SOILS, sheared, pose_at(0.0))
     enough = LIMITS > 3.0 * FORCE
-    assert np.abs(track_distance(straight, 0.5 * LENGTH)[:, enough]).max() < 1e-3
-    track_distance(straight, 3.0 * LENGTH)
+    assert np.abs(slip_over(straight, 0.5 * LENGTH)[:, enough]).max() < 1e-3
+    slip_over(straight, 3.0 * LENGTH)
     a, b = 8, -4
-    assert track_distance(straight, 3.5)[a, b] / 3.5 == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
+    assert slip_over(straight, 3.5)[a, b] / 3.5 == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
 
 
 def test_tracks_spin_where_the_thrust_exceeds_the_soil_limit() -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
-    expected = track_distance(straight, 3.5)
+    expected = slip_over(straight, 3.5)
     weak, strong = np.searchsorted(LIMITS, (1.02 * FORCE, 4.0 * FORCE))
     assert LIMITS[weak] > FORCE
     strongly = Hypotheses(CONTACT, MODULI, 0.5 * LIMITS)
-    spinning = track_distance(StraightSegment(strongly, FRESH, pose_at(0.0)), 3.5)
+    spinning = slip_over(StraightSegment(strongly, FRESH, pose_at(0.0)), 3.5)
     assert spinning[8, 0] == pytest.approx(0.4 * 3.5, rel=0.02)
     assert expected[8, strong] < 0.02 * 3.5
 
@@ -85,17 +85,17 @@ def test_tracks_spin_where_the_thrust_exceeds_the_soil_limit() -> None:
 def test_uneven_load_changes_the_slip_distance_by_the_stated_amount() -> None:
     """The load of a cab with unknown swing angle."""
     lean = 0.2  # 1/m
-    costs = []
+    slip_distances = []
     for sign in (0.0, 1.0):
         straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
         for _ in range(200):
             rolling = Rolling(np.array((SPEED, 0.0, 0.0)), np.full(2, SPEED), sign * lean)
             straight.add(STEP, rolling, 2.0 * FORCE, lean)
         straight.set_end(pose_at(0.99 * straight.track_distance))
-        costs.append(straight.slip_distance())
+        slip_distances.append(straight.slip_distance())
     a, b = 10, -1
-    change = costs[1].expected[a, b] / costs[0].expected[a, b] - 1.0
-    assert costs[0].of_lean / costs[0].measured == pytest.approx(change, rel=0.1)
+    change = slip_distances[1].expected[a, b] / slip_distances[0].expected[a, b] - 1.0
+    assert slip_distances[0].of_lean / slip_distances[0].measured == pytest.approx(change, rel=0.1)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.5, np.pi - 0.05])
@@ -105,9 +105,9 @@ def test_distance_follows_the_arc_at_any_heading(yaw: float) -> None:
     straight = StraightSegment(SOILS, FRESH, _on_arc(radius, yaw, 0.0))
     for angle in bend[1:]:
         straight.set_end(_on_arc(radius, yaw, angle))
-    lost = straight.slip_distance()
-    assert -lost.measured == pytest.approx(radius * bend[-1], rel=1e-5)
-    assert lost.variance == pytest.approx(2.0 * 0.01**2)
+    slip_distance = straight.slip_distance()
+    assert -slip_distance.measured == pytest.approx(radius * bend[-1], rel=1e-5)
+    assert slip_distance.variance == pytest.approx(2.0 * 0.01**2)
 
 
 def _on_arc(radius: float, yaw: float, angle: float) -> PoseWithCovariance:
@@ -173,10 +173,10 @@ def test_slip_distance_gives_the_shear_modulus(sign: float) -> None:
     for _ in range(6):
         go_straight(strength, stddev=0.0005, sign=sign)
     strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))  # ends the last straight
-    found = strength.posterior.summary()
-    assert found.identifiable, found.reason
-    assert found.shear_modulus == pytest.approx(MODULUS, rel=0.06)
-    assert found.thrust_limit == pytest.approx(LIMIT, rel=0.02)
+    summary = strength.posterior.summary()
+    assert summary.identifiable, summary.reason
+    assert summary.shear_modulus == pytest.approx(MODULUS, rel=0.06)
+    assert summary.thrust_limit == pytest.approx(LIMIT, rel=0.02)
 
 
 @pytest.mark.slow
@@ -216,7 +216,10 @@ def test_straight_ends_at_the_pose_of_the_stop() -> None:
 
 @pytest.mark.parametrize("spoil", ["thrust", "twist"])
 def test_straight_with_a_gap_does_not_use_the_gap(spoil: str) -> None:
-    """Without thrusts the distance so far is used; an unusable sample ends the straight without use."""
+    """Without thrusts the distance so far is used; an unusable sample ends the straight without use.
+
+    0.8 m of driving discard some information.
+    """
     strength = new_strength()
     before = strength.posterior.effective_samples
     distance = STEP * SPEED * (1.0 - 0.0072)
@@ -227,7 +230,7 @@ def test_straight_with_a_gap_does_not_use_the_gap(spoil: str) -> None:
     broken = replace(broken, thrusts=none) if spoil == "thrust" else replace(broken, tracks=none)
     assert strength.update(broken) is (SampleOutcome.USED if spoil == "thrust" else None)
     expected = before + (1.0 if spoil == "thrust" else 0.0)
-    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # 0.8 m forget some
+    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)
 
 
 def test_shear_modulus_is_not_observable_from_spinning_tracks() -> None:
@@ -244,8 +247,8 @@ def test_shear_modulus_is_not_observable_from_spinning_tracks() -> None:
 
 def test_distance_along_a_slope_is_longer_than_its_horizontal_part() -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
-    track_distance(straight, 4.0)
+    slip_over(straight, 4.0)
     straight.set_end(pose_at(4.0 * math.cos(0.25)), 1.0 / math.cos(0.25), 0.001)
-    lost = straight.slip_distance()
-    assert lost.measured == pytest.approx(straight.track_distance - 4.0, abs=1e-9)
-    assert lost.variance == pytest.approx((0.001 * 4.0) ** 2)
+    slip_distance = straight.slip_distance()
+    assert slip_distance.measured == pytest.approx(straight.track_distance - 4.0, abs=1e-9)
+    assert slip_distance.variance == pytest.approx((0.001 * 4.0) ** 2)

@@ -53,8 +53,8 @@ def settle(strength: Strength, sample: Sample) -> None:
         strength.update(replace(sample, dt=1.0, thrusts=None))
 
 
-def fed(strength: Strength, slips: FloatArray, seconds: float, **soil: float) -> StrengthPosterior:
-    """Posterior after ``seconds`` of steady straight driving at each slip."""
+def drive(strength: Strength, slips: FloatArray, seconds: float, **soil: float) -> StrengthPosterior:
+    """Drive straight for ``seconds`` at each slip; the posterior."""
     for slip in slips:
         settle(strength, straight(slip, 0.0))
         for _ in range(round(seconds / STEP)):
@@ -125,24 +125,24 @@ def test_many_short_steps_equal_one_long_step() -> None:
 
 def test_exact_data_recover_both_parameters() -> None:
     certain = replace(STRENGTH, slip_bias_stddev=0.0, thrust_share_stddev=0.002, thrust_scale_stddev=0.0)
-    found = fed(Strength(certain, VEHICLE), np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
-    assert found.shear_modulus == pytest.approx(MODULUS, rel=0.05)
-    assert found.thrust_limit == pytest.approx(LIMIT, rel=0.01)
-    assert found.identifiable
-    assert found.reason == ""
+    summary = drive(Strength(certain, VEHICLE), np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
+    assert summary.shear_modulus == pytest.approx(MODULUS, rel=0.05)
+    assert summary.thrust_limit == pytest.approx(LIMIT, rel=0.01)
+    assert summary.identifiable
+    assert summary.reason == ""
 
 
 def test_only_the_ratio_is_observable_from_small_slips() -> None:
-    posterior = fed(new_strength(), np.array((0.004, 0.006)), 20.0, modulus=0.03)
-    found = posterior.summary()
-    assert not found.identifiable
-    assert found.reason.startswith("F_max")
+    posterior = drive(new_strength(), np.array((0.004, 0.006)), 20.0, modulus=0.03)
+    summary = posterior.summary()
+    assert not summary.identifiable
+    assert summary.reason.startswith("F_max")
     grid = posterior.grid
     ratio = grid.log_moduli[:, None] - grid.log_limits[None, :]
     cells = grid.add_errors(posterior.cells)
     mean = np.sum(cells * ratio)
     assert np.sqrt(np.sum(cells * (ratio - mean) ** 2)) < 0.4
-    assert found.thrust_limit_interval[1] > 2.0 * found.thrust_limit_interval[0]
+    assert summary.thrust_limit_interval[1] > 2.0 * summary.thrust_limit_interval[0]
 
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-12, 1e-3, 0.7, 5.0, 39.0, 1e3])
@@ -156,12 +156,12 @@ def test_shear_modulus_is_unidentifiable_from_slips_below_their_error() -> None:
         strength.update(straight(0.25, force_of(0.25, 0.006, 4233.0)))
     for _ in range(200):
         strength.update(straight(0.0016, force_of(0.0016, 0.006, 4233.0), stddev=0.005))
-    found = strength.posterior.summary()
-    assert not found.identifiable
-    assert found.reason.startswith("K")
-    low, high = found.shear_modulus_interval
+    summary = strength.posterior.summary()
+    assert not summary.identifiable
+    assert summary.reason.startswith("K")
+    low, high = summary.shear_modulus_interval
     assert low < 0.006 < high
-    assert found.thrust_limit == pytest.approx(4233.0, rel=0.05)
+    assert summary.thrust_limit == pytest.approx(4233.0, rel=0.05)
 
 
 @pytest.mark.slow
@@ -185,8 +185,8 @@ def test_intervals_have_their_stated_coverage() -> None:
             settle(strength, sample)
             for _ in range(round(STRENGTH.correlation_time)):
                 strength.update(sample)
-        found = strength.posterior.summary()
-        intervals = (found.shear_modulus_interval, found.thrust_limit_interval)
+        summary = strength.posterior.summary()
+        intervals = (summary.shear_modulus_interval, summary.thrust_limit_interval)
         for k, (truth, (low, high)) in enumerate(zip((MODULUS, LIMIT), intervals, strict=True)):
             covered[k] += low <= truth <= high
     assert np.all(covered >= 0.8 * runs)
@@ -195,18 +195,18 @@ def test_intervals_have_their_stated_coverage() -> None:
 
 def test_new_soil_is_found_within_seconds() -> None:
     strength = new_strength()
-    fed(strength, np.array((0.0072, 0.2, 0.01, 0.3)), 15.0)
+    drive(strength, np.array((0.0072, 0.2, 0.01, 0.3)), 15.0)
     assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
     before = strength.posterior.effective_samples
-    fed(strength, np.array((0.2,)), 10.0, modulus=0.006, limit=2650.0)
-    found = strength.posterior.summary()
-    assert found.thrust_limit == pytest.approx(2650.0, rel=0.05)
-    assert found.effective_samples < 0.5 * before
+    drive(strength, np.array((0.2,)), 10.0, modulus=0.006, limit=2650.0)
+    summary = strength.posterior.summary()
+    assert summary.thrust_limit == pytest.approx(2650.0, rel=0.05)
+    assert summary.effective_samples < 0.5 * before
 
 
 def test_one_wrong_sample_has_no_effect() -> None:
     strength = new_strength()
-    fed(strength, np.array((0.0072, 0.2)), 20.0)
+    drive(strength, np.array((0.0072, 0.2)), 20.0)
     before = strength.posterior.summary()
     strength.update(straight(0.2, -9000.0))
     after = strength.posterior.summary()
@@ -232,7 +232,7 @@ def test_constant_slip_error_bounds_the_interval_of_k() -> None:
     for correlated in (0.0, 0.002):
         strength = new_strength(slip_bias_stddev=correlated, change_distance=1e6)
         for _ in range(2):
-            low, high = fed(strength, np.array((0.0072, 0.2)), 30.0).summary().shear_modulus_interval
+            low, high = drive(strength, np.array((0.0072, 0.2)), 30.0).summary().shear_modulus_interval
             widths.append(np.log(high / low))
     certain_before, certain_after, before, after = widths
     assert certain_after < 0.92 * certain_before

@@ -5,6 +5,7 @@
 import math
 
 import pytest
+from fixtures.number_strategies import between, either_sign, power_of_ten
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,20 +14,6 @@ from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.terramechanics import hydraulics, turning
 
 PC05 = load_vehicle().whole()
-
-
-def between(low, high):
-    """Numbers whose products do not underflow."""
-    return st.floats(low, high).map(lambda value: value if abs(value) > 1e-30 else 0.0)
-
-
-def power_of_ten(low, high):
-    return st.floats(low, high).map(lambda exponent: 10.0**exponent)
-
-
-def either_sign(magnitudes):
-    return st.tuples(magnitudes, st.sampled_from([-1.0, 1.0])).map(math.prod)
-
 
 lengths = between(0.5, 4.0)
 mus = between(0.05, 2.0)
@@ -150,7 +137,7 @@ def test_pressure_drop_inverts_orifice_flow(drop, area, density, discharge):
 
 @given(either_sign(between(0.0, 5e7)))
 def test_relieved_pressure_is_the_nearest_allowed(dp):
-    kept = hydraulics.relieved_pressure(dp, PC05)
-    assert abs(kept) <= PC05.relief_pressure
-    assert kept == dp or abs(kept) == PC05.relief_pressure < abs(dp)
-    assert hydraulics.relieved_pressure(kept, PC05) == kept
+    relieved = hydraulics.relieved_pressure(dp, PC05)
+    assert abs(relieved) <= PC05.relief_pressure
+    assert relieved == dp or abs(relieved) == PC05.relief_pressure < abs(dp)
+    assert hydraulics.relieved_pressure(relieved, PC05) == relieved

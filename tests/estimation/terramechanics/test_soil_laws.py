@@ -6,24 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from fixtures.number_strategies import between, either_sign, power_of_ten
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from trackslip_estimation.terramechanics import resistance, sinkage, strength, traction
-
-
-def between(low, high):
-    """Numbers whose products do not underflow."""
-    return st.floats(low, high).map(lambda value: value if abs(value) > 1e-30 else 0.0)
-
-
-def power_of_ten(low, high):
-    return st.floats(low, high).map(lambda exponent: 10.0**exponent)
-
-
-def either_sign(magnitudes):
-    return st.tuples(magnitudes, st.sampled_from([-1.0, 1.0])).map(math.prod)
-
 
 pressures = between(0.0, 1e5)
 cohesions = between(0.0, 2e4)

@@ -30,9 +30,9 @@ def pc05() -> Vehicle:
     return load_vehicle().whole()
 
 
-def integral(f, start, stop, intervals=2000):
-    """Simpson's rule."""
-    x = np.linspace(start, stop, 2 * intervals + 1)
+def integral(f, start, stop):
+    """Simpson's rule with 4000 intervals."""
+    x = np.linspace(start, stop, 4001)
     y = f(x)
     return (x[1] - x[0]) / 3.0 * (y[0] + y[-1] + 4.0 * y[1:-1:2].sum() + 2.0 * y[2:-1:2].sum())
 
@@ -100,8 +100,8 @@ def test_straight_slip_of_the_pc05(pc05, name, slip):
     area = 2.0 * pc05.track_width * pc05.contact_length
     limit = strength.thrust_limit(ground.cohesion, ground.friction_angle, area, pc05.weight)
     needed = resistance.longitudinal_resistance(0.4, ground.value("mu_r"), pc05.weight)
-    found = traction.slip_of_thrust(needed, limit, ground.value("shear_modulus"), pc05.contact_length)
-    assert found == pytest.approx(slip, rel=0.04)  # printed to two digits
+    computed = traction.slip_of_thrust(needed, limit, ground.value("shear_modulus"), pc05.contact_length)
+    assert computed == pytest.approx(slip, rel=0.04)  # printed to two digits
 
 
 def test_thrust_is_the_integral_of_shear_stress(pc05):
@@ -170,8 +170,8 @@ def test_expanded_formulas_as_printed(pc05):
         assert turning.centre_point_approximate(length, mu, a) == pytest.approx(length / 2 + first, rel=1e-12)
         moment = m * g * length * mu / 3 - m * a**2 * length / (4 * g * mu)
         moment += m * a**3 * length / (12 * g**2 * mu**2)
-        found = turning.moment_with_centrifugal_force(pc05.weight, length, mu, a)
-        assert found == pytest.approx(moment, rel=1e-12)
+        computed = turning.moment_with_centrifugal_force(pc05.weight, length, mu, a)
+        assert computed == pytest.approx(moment, rel=1e-12)
 
 
 @pytest.mark.parametrize("load", [0.0, 0.3, 0.9, 1.0, 1.5])
@@ -179,11 +179,11 @@ def test_centre_point_is_the_centroid(load):
     """(3.5) integrated numerically, across both cases of (3.6)."""
     weight, length, mu = 12e3, 1.3, 0.4
     a = 2.0 * GRAVITY * mu * load
-    size = [
+    moments = [
         integral(lambda x, k=k: x**k * np.abs(turning.lateral_force(x, weight, length, mu, a)), 0.0, length)
         for k in (0, 1)
     ]
-    assert turning.centre_point(length, mu, a) == pytest.approx(size[1] / size[0], rel=1e-5)
+    assert turning.centre_point(length, mu, a) == pytest.approx(moments[1] / moments[0], rel=1e-5)
 
 
 @pytest.mark.parametrize("load", [0.0, 0.05, 0.5, 1.0])
