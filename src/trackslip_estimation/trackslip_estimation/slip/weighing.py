@@ -137,7 +137,9 @@ def weigh_and_update(
     if kind == POSE:
         R *= min(inflation, largest_correlated_inflation(predicted, R))
         inflate_repeated_fix(state, source, is_independent, R, c)
-    _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
+    _correct(
+        state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.cross_covariance), c
+    )
     if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
         update.outcome = _GATED
 
@@ -154,7 +156,9 @@ def _update_heading_only(
         return
     update.evidence -= (nis + math.log(S) + _LOG_TWO_PI) / 2.0
     R, x = o.noise[YAW:, YAW:].copy(), state.mean[: c.size]
-    heading = Observation(o.innovation[YAW:].copy(), o.jacobian[YAW:].copy(), R, o.considered, 0, o.shared)
+    heading = Observation(
+        o.innovation[YAW:].copy(), o.jacobian[YAW:].copy(), R, o.considered, 0, o.cross_covariance
+    )
     correct(x, state.covariance[:], heading)
     x[YAW] = wrap(x[YAW])
 
