@@ -65,7 +65,7 @@ def add_unknown_motion_noise(state: State, dt: float, c: Config) -> None:
         share = min(SIDEWAYS**2 + P[YAW, YAW], 1.0)
     P[X, X] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
     P[Y, Y] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
-    P[YAW, YAW] += 2.0 * SPEED_TIME * dt * c.unseen_yaw_rate**2
+    P[YAW, YAW] += 2.0 * SPEED_TIME * dt * c.unmodelled_yaw_rate**2
 
 
 @compiled

@@ -114,7 +114,7 @@ def pose_fix(message: Any, source: str) -> PoseFix:
 
 
 def slip_fix(message: Any, source: str) -> SlipFix:
-    """From trackslip_msgs/TrackSlip, but for the slip angle."""
+    """From trackslip_msgs/TrackSlip, except the slip angle."""
     m = read(SlipFields, message)
     return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
+UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
 Place = tuple[float, float, float, float]
 
 

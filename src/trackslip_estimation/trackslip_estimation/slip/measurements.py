@@ -108,7 +108,7 @@ class VelocityFix:
     source: str
     stamp_ns: int
     velocity: FloatArray  # (2,) m/s
-    covariance: FloatArray  # (2, 2) (m/s)²; from ``UNOBSERVED`` on the second axis is open
+    covariance: FloatArray  # (2, 2) (m/s)²; ``UNOBSERVED`` or more: the second axis is not measured
 
 
 @dataclass(frozen=True, eq=False)

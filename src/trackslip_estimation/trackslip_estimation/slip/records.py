@@ -109,7 +109,7 @@ class Adaptation(Record):
     envelope: float  # E, (m/s)²
     exposure: float  # T, (rad/s)²
     elapsed: float  # s since the last yaw rate
-    speed_exposure: float  # of m_v, over f² s²/4, since the last odometry, (m/s)²
+    speed_exposure: float  # variance of m_v, over (forward s)²/4, since the last odometry, (m/s)²
     speed_elapsed: float  # s since then
     left_speed: float  # of the sprockets in the interval before, rad/s
     right_speed: float
