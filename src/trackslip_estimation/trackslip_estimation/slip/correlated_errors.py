@@ -260,7 +260,7 @@ def _predict(s: Receiver, masses: Masses, R: float, displacement: DisplacementEr
 def _correct(
     x: FloatArray, P: FloatArray, r: FloatArray, S: float, inflation: float, is_correlated: bool
 ) -> None:
-    """Update b, c and ċ (3, 2) with r (2,); ``inflation`` is added to the variance S of r, and of b if correlated."""
+    """Update b, c and ċ (3, 2) with r (2,); ``inflation`` adds to the variance S of r, of b if correlated."""
     S += inflation
     if is_correlated:
         P[0] += inflation

@@ -116,8 +116,8 @@ def _altitude_variances(
     source, level = measurement.source, state.attitude.level
     stated = max(measurement.altitude_variance, c.position_floor[source] ** 2)
     stated *= state.adaptation.fix_factors[source]
-    steep = level.downhill_x**2 + level.downhill_y**2
-    stated += steep * unknown_swing_variance(state.covariance, source, c)
+    squared_slope = level.downhill_x**2 + level.downhill_y**2
+    stated += squared_slope * unknown_swing_variance(state.covariance, source, c)
     share = time_correlated_share(state, source, c)
     if share == 0.0:
         return stated, stated
