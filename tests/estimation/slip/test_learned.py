@@ -58,7 +58,7 @@ def named(known: Learned | None, of: LearnedContext = OF) -> dict[str, LearnedQu
     return {finding.name: finding for finding in learned_quantities(known, of)}
 
 
-def known(seed: int, n: int = len(OF.places)) -> Learned:
+def known(seed: int, n: int = len(OF.state_indices)) -> Learned:
     """Random learned states."""
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n + 1))
@@ -100,10 +100,10 @@ def test_age_widens_towards_the_prior_and_never_beyond(seed: int, first: float, 
 
 def test_soil_states_age_within_hours_and_machine_states_within_months(learned: Learned) -> None:
     deviations = {
-        age: dict(zip(OF.places, decay_to_prior(learned, age, OF).stddev, strict=True))
+        age: dict(zip(OF.state_indices, decay_to_prior(learned, age, OF).stddev, strict=True))
         for age in (0.0, 12 * HOUR, 12 * MONTH)
     }
-    prior = dict(zip(OF.places, OF.prior.stddev, strict=True))
+    prior = dict(zip(OF.state_indices, OF.prior.stddev, strict=True))
     for name in ("efficiency", "loss", "common_slip", "rotation_offset", "gyro_bias"):
         assert deviations[12 * HOUR][name] > 0.9 * prior[name]
     for name in ("gyro_scale", "asymmetry"):
@@ -117,7 +117,7 @@ def test_estimator_starts_from_learned_states(driven: list[Measurement], learned
     first = next(k for k, m in enumerate(driven) if isinstance(m, PoseFix))
     estimator.process_all(driven[: first + 1])
     state = estimator.window.best[0]
-    places = list(OF.places.values())
+    places = list(OF.state_indices.values())
     np.testing.assert_array_equal(state["mean"][places], learned.mean)
     np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
     np.testing.assert_array_equal(state["adaptation"]["log_weights"], learned.track_weights)
@@ -219,7 +219,7 @@ def test_nothing_is_observed_before_the_first_metre() -> None:
 
 def test_state_far_from_its_prior_counts_as_observed() -> None:
     """The slip of spinning tracks has a standard deviation of 0.1; its prior is 0 ± 0.02."""
-    start, k = OF.prior, list(OF.places).index("common_slip")
+    start, k = OF.prior, list(OF.state_indices).index("common_slip")
     mean, stddev = start.mean.copy(), start.stddev.copy()
     mean[k], stddev[k] = 1.0, 0.1
     spinning = dataclasses.replace(start, mean=mean, stddev=stddev)

@@ -187,15 +187,17 @@ def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: 
         state.right_mean += slow * (speeds.right - state.right_mean)
     left, right = state.left, state.right
     fastest, mean = max(abs(left), abs(right)), (abs(left) + abs(right)) / 2.0
-    moved, turned = state.motion in (_STRAIGHT, _TURNING), state.motion == _TURNING
-    moves = fastest > limits.standing_speed * (limits.hysteresis if moved else 1.0)
-    turns = abs(right - left) > limits.turning_ratio * mean * (limits.hysteresis if turned else 1.0)
-    smooth = max(abs(left - state.left_mean), abs(right - state.right_mean))
-    still = limits.hysteresis if state.changing else 1.0
-    state.changing = smooth > limits.change_ratio * max(mean, limits.standing_speed) * still
-    state.motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
-    lately = max(abs(speeds.left - left), abs(speeds.right - right))
-    state.departure = max(lately, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean))
+    was_moving, was_turning = state.motion in (_STRAIGHT, _TURNING), state.motion == _TURNING
+    is_moving = fastest > limits.standing_speed * (limits.hysteresis if was_moving else 1.0)
+    is_turning = abs(right - left) > limits.turning_ratio * mean * (limits.hysteresis if was_turning else 1.0)
+    change = max(abs(left - state.left_mean), abs(right - state.right_mean))
+    hysteresis = limits.hysteresis if state.changing else 1.0
+    state.changing = change > limits.change_ratio * max(mean, limits.standing_speed) * hysteresis
+    state.motion = _STANDING if not is_moving else _TURNING if is_turning else _STRAIGHT
+    from_smoothed = max(abs(speeds.left - left), abs(speeds.right - right))
+    state.departure = max(
+        from_smoothed, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean)
+    )
 
 
 @compiled

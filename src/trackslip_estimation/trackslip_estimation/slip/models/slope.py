@@ -42,14 +42,9 @@ _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
 _GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
 _AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
 _DIRECTION_CHANGE = 0.1  # change of the sine of the slope driven down at which k is inflated
-_RELATIVE_INFLATION = (
-    0.5  # standard deviation then added, as a share of k, per change over the sine of the slope
-)
-_TURN_STATE_WALKS = (
-    0.5,
-    0.75,
-    0.25,
-)  # random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
+_RELATIVE_INFLATION = 0.5  # standard deviation added, as a share of k, per change over the sine of the slope
+# random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
+_TURN_STATE_WALKS = 0.5, 0.75, 0.25
 
 
 @compiled
