@@ -33,7 +33,7 @@ from trackslip_estimation.slip.sources import Rejection
 
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
-STANDSTILL = np.array(quaternion_from_angles(0.2, -0.4, 1.0))  # orientation of its odom frame
+ODOM_ORIENTATION = np.array(quaternion_from_angles(0.2, -0.4, 1.0))  # orientation of its odom frame
 ALONE = 40.0  # s, end of the fixes
 
 
@@ -51,8 +51,8 @@ def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
         np.array(quaternion_from_angles(0.0, 0.0, pose[2])),
         np.array(quaternion_from_angles(*MOUNTING)),
     )
-    at = turned_by(STANDSTILL, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
-    turn = product(product(STANDSTILL, base), camera)
+    at = turned_by(ODOM_ORIENTATION, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
+    turn = product(product(ODOM_ORIENTATION, base), camera)
     return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
 
 
