@@ -44,15 +44,9 @@ class Lever(NamedTuple):
 
 
 @compiled
-def arm_from_swing_axis(source: int, c: Config) -> tuple[float, float]:
-    """l − a of a sensor above, horizontal, m."""
-    return c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
-
-
-@compiled
 def unknown_swing_variance(P: FloatArray, source: int, c: Config) -> float:
     """Variance of a sensor's position by axis, m², where σ is unknown and linearisation fails; else 0."""
-    x, y = arm_from_swing_axis(source, c)
+    x, y = c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
     is_known = P[SWING, SWING] <= UNKNOWN_SWING**2
     return 0.0 if is_known else float(x * x + y * y)
 

@@ -121,16 +121,9 @@ class MotionState(NamedTuple):
 def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParameters) -> MotionState:
     """The state of motion after ``dt`` seconds with these mean sprocket speeds."""
     motion = _make_record(MotionRecord, MOTION, state)
-    _classify(motion, _make_record(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits))
+    update_motion(motion[0], _make_record(SpeedsRecord, SPEEDS, speeds)[0], dt, limits_record(limits)[0])
     code, changing, *remembered = motion.item(0)
     return MotionState(Motion(code), bool(changing), *remembered)
-
-
-def smoothed_speeds(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
-    """``steady_speeds`` for Python."""
-    now, before = _make_record(SpeedsRecord, SPEEDS, speeds), _make_record(MotionRecord, MOTION, state)
-    left, right, variance = _steady_speeds(now, before, limits_record(limits))
-    return speeds._replace(left=left, right=right, variance=variance)
 
 
 def limits_record(limits: MotionParameters) -> Table[LimitsRecord]:
@@ -145,22 +138,6 @@ def _make_record(
     table = make_table(declared, dtype, 1)
     table[:] = np.array([tuple(fields)], dtype)
     return table
-
-
-@compiled
-def _classify(
-    motion: Table[MotionRecord], speeds: Table[SpeedsRecord], dt: float, limits: Table[LimitsRecord]
-) -> None:
-    """``update_motion`` as called from Python."""
-    update_motion(motion[0], speeds[0], dt, limits[0])
-
-
-@compiled
-def _steady_speeds(
-    speeds: Table[SpeedsRecord], motion: Table[MotionRecord], limits: Table[LimitsRecord]
-) -> tuple[float, float, float]:
-    """``steady_speeds`` as called from Python."""
-    return steady_speeds(speeds[0], motion[0], limits[0])
 
 
 @compiled

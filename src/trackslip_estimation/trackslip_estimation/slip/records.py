@@ -123,7 +123,7 @@ ADAPTATION = dtype_of(Adaptation)
 
 
 class OdometryRecord(Record):
-    """Odometry of a source at the begin of its next increment."""
+    """Odometry of a source at the start of its next increment."""
 
     known: bool
     coasting: bool  # whether the sprockets had timed out
@@ -135,12 +135,12 @@ class OdometryRecord(Record):
     errors: Annotated[FloatArray, 2]  # variances of the velocity errors at this time, (m/s)², (rad/s)²
     slip_weight: float  # inverse variance of the error of i₀ by recent increments
     slip_sum: float  # error of i₀ times its weight
-    slip_distance: float  # track distance since i₀ is wrong, m
-    slip_ns: int  # stamp since when i₀ is wrong
+    slip_distance: float  # track distance since i₀ became wrong, m
+    slip_ns: int  # stamp at which i₀ became wrong
 
 
 class Standstill(Record):
-    """Fixes of a source since the machine is at standstill, and the swing angle there, rad."""
+    """Number of fixes of a source in a standstill of the machine, and the swing angle there, rad."""
 
     count: int
     swing: float

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> int:
     """Set ``state.speeds`` to the mean speeds up to ``stamp_ns``; returns the end of the known speeds.
 
-    An earlier stamp than ``stamp_ns`` is the begin of silence.
+    An earlier stamp than ``stamp_ns`` is the start of silence.
     """
     sample, speeds = state.sample, state.speeds
     state.time_since_sample = 0.0

@@ -41,7 +41,7 @@ def fill_transforms(message: Any, estimate: Estimate, local: Estimate) -> None:
 
 
 def _fill(message: Any, stamp_ns: int, pose: FloatArray, tilt: tuple[float, float, float]) -> None:
-    """geometry_msgs/TransformStamped of (3,) x, y, heading, and of roll, pitch, height."""
+    """Fill a geometry_msgs/TransformStamped with (3,) x, y, heading, and with roll, pitch, height."""
     set_stamp(message, stamp_ns)
     translation, rotation = message.transform.translation, message.transform.rotation
     x, y, heading = pose.tolist()

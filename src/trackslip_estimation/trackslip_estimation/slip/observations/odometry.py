@@ -221,7 +221,7 @@ def _inflate_slip_on_agreement(
     independent_variance: float,
     c: Config,
 ) -> None:
-    """Inflate i₀, and with it the position, where recent increments agree on another slip.
+    """Inflate the covariance of i₀ and of the position where recent increments agree on another slip.
 
     ``innovation`` of the speed ahead, m/s; ``independent_variance``: variance of independent errors.
     """
