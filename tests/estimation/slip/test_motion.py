@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 
 from trackslip_estimation.slip.motion import (
-    MOTION,
-    SPEEDS,
     Motion,
     MotionParameters,
     MotionState,
     Speeds,
     classify,
-    limits_record,
-    steady_speeds,
+    smoothed_speeds,
 )
 
 LIMITS = MotionParameters(
@@ -45,13 +42,6 @@ def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = Non
 
 def constant(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
     return [(left, right)] * round(seconds / DT)
-
-
-def smoothed(speeds: Speeds, state: MotionState) -> Speeds:
-    """The speeds with those of ``steady_speeds``."""
-    now, before = np.array([tuple(speeds)], SPEEDS)[0], np.array([tuple(state)], MOTION)[0]
-    left, right, variance = steady_speeds(now, before, limits_record(LIMITS)[0])
-    return speeds._replace(left=left, right=right, variance=variance)
 
 
 def motions(states: list[MotionState]) -> list[Motion]:
@@ -161,7 +151,7 @@ def test_speeds_are_low_passed_where_rounding_explains_their_changes() -> None:
     for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
         speeds = Speeds(left, right, COUNTED, COUNT**2 / 12.0)
         state = classify(state, speeds, DT, LIMITS)
-        found.append(smoothed(speeds, state))
+        found.append(smoothed_speeds(speeds, state, LIMITS))
     variances = np.array([one.variance for one in found])
     assert variances[100:500].max() < COUNTED / 100.0
     assert found[500] == (*counted(1.6, 1.2, DT)[0], COUNTED, COUNT**2 / 12.0)
@@ -173,12 +163,12 @@ def test_speed_difference_within_rounding_is_not_published(difference: float) ->
     """Speeds are not low-passed while they change; one count in 10 ms is 0.05 rad/s."""
     now = Speeds(1.5, 1.5 + difference, COUNTED, COUNT**2 / 12.0)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
-    left, right, variance, _ = smoothed(now, changing)
+    left, right, variance, _ = smoothed_speeds(now, changing, LIMITS)
     assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
     assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
     assert variance == COUNTED
     exact = now._replace(variance=0.0)
-    assert smoothed(exact, changing) == exact
+    assert smoothed_speeds(exact, changing, LIMITS) == exact
 
 
 def test_shaking_on_the_spot_is_standstill() -> None:

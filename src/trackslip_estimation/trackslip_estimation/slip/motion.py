@@ -126,6 +126,13 @@ def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParame
     return MotionState(Motion(code), bool(changing), *remembered)
 
 
+def smoothed_speeds(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
+    """``steady_speeds`` for Python."""
+    now, motion = _make_record(SpeedsRecord, SPEEDS, speeds)[0], _make_record(MotionRecord, MOTION, state)[0]
+    left, right, variance = steady_speeds(now, motion, limits_record(limits)[0])
+    return speeds._replace(left=left, right=right, variance=variance)
+
+
 def limits_record(limits: MotionParameters) -> Table[LimitsRecord]:
     """(1,) of ``LIMITS``."""
     return _make_record(LimitsRecord, LIMITS, tuple(getattr(limits, name) for name in LIMITS.names or ()))
