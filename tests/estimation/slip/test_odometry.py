@@ -177,7 +177,9 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
     stamps = [m.stamp_ns for m in odometry]
     far = np.array((100.0, 50.0, 3.0))
     moved = [
-        replace(m, place=m.place + far * (m.stamp_ns >= stamps[60]), frame=7 + (m.stamp_ns >= stamps[100]))
+        replace(
+            m, position=m.position + far * (m.stamp_ns >= stamps[60]), frame=7 + (m.stamp_ns >= stamps[100])
+        )
         for m in odometry
         if not stamps[140] <= m.stamp_ns < stamps[150]
     ]
@@ -190,9 +192,9 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        {"place": np.array((np.nan, 0.0, 0.0))},
-        {"turn": np.zeros(4)},
-        {"turn": np.array((0.0, 0.0, 0.0, 1.2))},
+        {"position": np.array((np.nan, 0.0, 0.0))},
+        {"orientation": np.zeros(4)},
+        {"orientation": np.array((0.0, 0.0, 0.0, 1.2))},
         {"variances": np.full((2, 3), -1e-6)},
         {"variances": np.full((2, 3), np.nan)},
     ],
@@ -213,7 +215,7 @@ def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
     x, y = (v / rate * np.sin(turn), v / rate * (1.0 - np.cos(turn))) if rate else (v * T, 0.0)
     first, second = pose_of(S, np.zeros(3)), pose_of(2 * S, np.array((x, y, turn)))
     c = SimpleNamespace(levers=np.array([LEVER]), mountings=np.array([quaternion_from_angles(*MOUNTING)]))
-    measured = SimpleNamespace(source=0, value=second.place, turn=second.turn)
+    measured = SimpleNamespace(source=0, value=second.position, orientation=second.orientation)
     found = increment.py_func(  # type: ignore[attr-defined]  # numba's
         first, measured, T, c
     )

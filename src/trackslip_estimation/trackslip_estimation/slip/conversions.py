@@ -165,8 +165,8 @@ def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> Odome
         return rejection
     frame = frame_number(read(FrameFields, message).frame)
     variances = getattr(m, name) if name else np.zeros((2, 3))
-    place, turn = np.array((m.x, m.y, m.z)), np.array((m.qx, m.qy, m.qz, m.qw))
-    return OdometryPose(source, m.stamp_ns, place, turn, frame, variances)
+    position, orientation = np.array((m.x, m.y, m.z)), np.array((m.qx, m.qy, m.qz, m.qw))
+    return OdometryPose(source, m.stamp_ns, position, orientation, frame, variances)
 
 
 def odometry(make: MessageFactory, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:

@@ -121,8 +121,8 @@ class OdometryPose:
 
     source: str
     stamp_ns: int
-    place: FloatArray  # (3,) m
-    turn: FloatArray  # (4,) quaternion x, y, z, w
+    position: FloatArray  # (3,) m
+    orientation: FloatArray  # (4,) quaternion x, y, z, w
     frame: int  # number of its odom frame; a new frame restarts the differences
     variances: FloatArray  # (2, 3) linear and angular, of twist or pose by the parameters of the source
 

@@ -54,7 +54,7 @@ class MeasurementRecord(Record):
         FloatArray, 3
     ]  # z of the other kinds: rad/s about z, x, y; m, m, rad; left and right slip; rad; m/s, m/s
     noise: Annotated[FloatArray, (3, 3)]  # R as stated by the source; of odometry, variances in two rows
-    turn: Annotated[FloatArray, 4]  # attitude of odometry, whose value is a position: quaternion x, y, z, w
+    orientation: Annotated[FloatArray, 4]  # of odometry, whose value is a position: quaternion x, y, z, w
     frame: int  # number of the odom frame
     altitude: float  # of a pose, m
     altitude_variance: float  # m²
@@ -128,8 +128,8 @@ class OdometryRecord(Record):
     known: bool
     coasting: bool  # whether the sprockets had timed out
     frame: int
-    place: Annotated[FloatArray, 3]
-    turn: Annotated[FloatArray, 4]
+    position: Annotated[FloatArray, 3]
+    orientation: Annotated[FloatArray, 4]
     noise: Annotated[FloatArray, (3, 3)]
     integrated_twist: Annotated[FloatArray, 3]  # ∫ twist of the state at this time
     errors: Annotated[FloatArray, 2]  # variances of the velocity errors at this time, (m/s)², (rad/s)²
@@ -387,6 +387,6 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
             record["value"][:2], record["noise"][:2, :2] = m.velocity, m.covariance
         elif isinstance(m, OdometryPose):
             record["kind"], record["source"] = ODOMETRY, sources[m.source]
-            record["value"], record["turn"], record["frame"] = m.place, m.turn, m.frame
+            record["value"], record["orientation"], record["frame"] = m.position, m.orientation, m.frame
             record["noise"][:2] = m.variances
     return records

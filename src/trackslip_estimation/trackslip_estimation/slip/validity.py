@@ -173,7 +173,7 @@ def _odometry_fault(measurement: MeasurementRecord) -> int:
         if fault > 0:
             return fault
     for k in range(4):
-        norm += measurement.turn[k] ** 2
+        norm += measurement.orientation[k] ** 2
     return 0 if abs(norm - 1.0) < _UNIT else _NO_ROTATION
 
 

@@ -125,7 +125,8 @@ def update_with_odometry(
         update.outcome = _BEGUN
     store_reading(state, source, measurement.stamp_ns)
     before.known, before.coasting = True, state.coasting
-    before.frame, before.place[:], before.turn[:] = measurement.frame, measurement.value, measurement.turn
+    before.frame, before.position[:] = measurement.frame, measurement.value
+    before.orientation[:] = measurement.orientation
     before.noise[:], before.integrated_twist[:] = measurement.noise, state.integrated_twist
     before.errors[0] = state.covariance[SPEED_ERROR, SPEED_ERROR]
     before.errors[1] = state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR]
