@@ -76,12 +76,14 @@ def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
     twist_covariance = predicted_covariance(P, J)
     slip_covariance = predicted_covariance(P, slips_jacobian(x, twist_, J, (left, right), c))
     if variance > 0.0:
-        e = math.sqrt(variance)
+        stddev = math.sqrt(variance)
         by_left = (
-            _twist_and_slips(state, left + e, right, c) - _twist_and_slips(state, left - e, right, c)
+            _twist_and_slips(state, left + stddev, right, c)
+            - _twist_and_slips(state, left - stddev, right, c)
         ) / 2.0
         by_right = (
-            _twist_and_slips(state, left, right + e, c) - _twist_and_slips(state, left, right - e, c)
+            _twist_and_slips(state, left, right + stddev, c)
+            - _twist_and_slips(state, left, right - stddev, c)
         ) / 2.0
         for by in (by_left, by_right):
             twist_covariance += np.outer(by[:3], by[:3])

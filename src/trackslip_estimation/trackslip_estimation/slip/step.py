@@ -223,8 +223,8 @@ def propagate(state: State, dt: float, c: Config) -> None:
             propagate_swing_covariance(P, F)
         propagate_covariance(P, F, Q, COUPLED)
     else:
-        used = P[: x.size, : x.size].copy()
-        points, weights = daf.sigma_points(x, used, c.kappa, c.active)
+        covariance = P[: x.size, : x.size].copy()
+        points, weights = daf.sigma_points(x, covariance, c.kappa, c.active)
         for i in range(weights.size):
             points[i] = propagate_mean(points[i], state, dt, c)
         mean, departures, weights = daf.moments(points, weights, YAW)

@@ -82,8 +82,8 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
     vector[0], vector[1] = -w[1], w[0]
     R += (rotation.along * np.outer(w, w) + rotation.across * np.outer(vector, vector))[:m, :m]
     if variance > 0.0:
-        e = math.sqrt(variance)
-        for on_left, on_right in ((e, 0.0), (0.0, e)):
+        stddev = math.sqrt(variance)
+        for on_left, on_right in ((stddev, 0.0), (0.0, stddev)):
             plus = _velocity(state, left + on_left, right + on_right, source, c)
             by = (plus - _velocity(state, left - on_left, right - on_right, source, c)) / 2.0
             vector[0], vector[1] = (
