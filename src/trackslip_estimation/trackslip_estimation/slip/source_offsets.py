@@ -26,7 +26,7 @@ from trackslip_estimation.kalman.single_state import (
     replace_prior_variance,
     replace_state,
 )
-from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, is_same_quality
+from trackslip_estimation.slip.correlated_errors import PRECISE, is_same_quality, quality_of
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 if TYPE_CHECKING:
