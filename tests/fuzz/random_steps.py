@@ -230,7 +230,7 @@ def _set_others(
     m["value"][kind == SLIPS] = (0.05 + error)[kind == SLIPS, None]
     odometry = kind == ODOMETRY
     m["value"][odometry, :2], m["value"][odometry, 2] = truth[odometry, :2], 0.0
-    m["turn"][:, 2], m["turn"][:, 3] = np.sin(truth[:, 2] / 2.0), np.cos(truth[:, 2] / 2.0)
+    m["orientation"][:, 2], m["orientation"][:, 3] = np.sin(truth[:, 2] / 2.0), np.cos(truth[:, 2] / 2.0)
     m["noise"][odometry, :2] = np.abs(m["noise"][odometry, :2])
     m["altitude"], m["altitude_variance"] = error, m["noise"][:, 2, 2]
     m["acceleration"], m["acceleration_variance"] = rng.normal(size=(steps, 3)), m["noise"][:, 1, 1]

@@ -40,57 +40,57 @@ REQUESTED: dict[str, Any] = {
     **{f"sources.box_pose.lever_arm_{axis}": at for axis, at in zip("xyz", ANTENNA, strict=True)},
 }
 RECEIVER = "gnss_pose"
-Shown = Callable[[float, float], tuple[float, float]]
+StatedAltitude = Callable[[float, float], tuple[float, float]]
 
 
-def as_it_is(_: float, altitude: float) -> tuple[float, float]:
+def as_measured(_: float, altitude: float) -> tuple[float, float]:
     return altitude, STDDEV**2
 
 
 def drive(
-    shown: Shown = as_it_is, seconds: float = 100.0, tilt: tuple[float, float] = (ROLL, PITCH)
+    stated: StatedAltitude = as_measured, seconds: float = 100.0, tilt: tuple[float, float] = (ROLL, PITCH)
 ) -> list[Measurement]:
     """5 s of standstill on the slope, then uphill at 0.4 m/s; fixes at 2 Hz.
 
-    ``shown`` maps seconds and the true altitude of the antenna to the altitude of the fix and its
+    ``stated`` maps seconds and the true altitude of the antenna to the altitude of the fix and its
     variance.
     """
-    rng, found = np.random.default_rng(5), list[Measurement]()
+    rng, measurements = np.random.default_rng(5), list[Measurement]()
     turn = Rotation.from_euler("ZYX", (0.4, tilt[1], tilt[0]))
     force = turn.inv().apply((0.0, 0.0, GRAVITY)) + np.array((BIAS, 0.0, 0.0))
     for k in range(round(seconds * 20)):
         stamp_ns, distance = (k + 1) * S // 20, 0.4 * max(k * 0.05 - 5.0, 0.0)
-        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
-        felt = tuple((force + rng.normal(0.0, 0.05, 3)).tolist())
+        measurements.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
+        acceleration = tuple((force + rng.normal(0.0, 0.05, 3)).tolist())
         rates = rng.normal(0.0, 0.003, 3).tolist()
         imu = YawRate(
-            "imu/data_raw", stamp_ns, rates[2], 9e-6, (rates[0], rates[1]), (9e-6, 9e-6), felt, 2.5e-3
+            "imu/data_raw", stamp_ns, rates[2], 9e-6, (rates[0], rates[1]), (9e-6, 9e-6), acceleration, 2.5e-3
         )
-        found.append(imu)
+        measurements.append(imu)
         if k % 10 == 0:
             place = turn.apply((distance, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN)
             x, y, z = (place + rng.normal(0.0, (0.01, 0.01, STDDEV))).tolist()
-            altitude, variance = shown(k * 0.05, z)
+            altitude, variance = stated(k * 0.05, z)
             pose = np.array((x, y, 0.4))
-            found.append(PoseFix(FIX, stamp_ns, pose, np.diag((1e-4, 1e-4, 1e-4)), altitude, variance))
-    return found
+            measurements.append(PoseFix(FIX, stamp_ns, pose, np.diag((1e-4, 1e-4, 1e-4)), altitude, variance))
+    return measurements
 
 
 def with_time_correlated_errors(rate: int, seed: int) -> list[Measurement]:
     """A drive on level ground with fixes of a receiver; half of their variance is correlated over 10 s."""
-    rng, found, error = np.random.default_rng(seed), list[Measurement](), np.zeros(3)
-    left, stddevs = math.exp(-0.1 / rate), np.array((0.01, 0.01, STDDEV))
+    rng, measurements, error = np.random.default_rng(seed), list[Measurement](), np.zeros(3)
+    decay, stddevs = math.exp(-0.1 / rate), np.array((0.01, 0.01, STDDEV))
     turn = Rotation.from_euler("ZYX", (0.4, 0.0, 0.0))
     for k, m in enumerate(m for m in drive(tilt=(0.0, 0.0)) if not isinstance(m, PoseFix)):
-        found.append(m)
+        measurements.append(m)
         if k % (40 // rate) == 1:  # sprockets and IMU have 20 Hz
             distance = 0.4 * max(m.stamp_ns / S - 5.05, 0.0)
-            error = left * error + rng.normal(0.0, math.sqrt(0.5 * (1.0 - left**2)), 3) * stddevs
+            error = decay * error + rng.normal(0.0, math.sqrt(0.5 * (1.0 - decay**2)), 3) * stddevs
             white = rng.normal(0.0, math.sqrt(0.5), 3) * stddevs
             place = turn.apply((distance, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN) + error + white
             pose, R = np.array((*place[:2], 0.4)), np.diag((1e-4, 1e-4, 1e-4))
-            found.append(PoseFix(RECEIVER, m.stamp_ns, pose, R, float(place[2]), STDDEV**2))
-    return found
+            measurements.append(PoseFix(RECEIVER, m.stamp_ns, pose, R, float(place[2]), STDDEV**2))
+    return measurements
 
 
 def run(

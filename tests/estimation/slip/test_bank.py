@@ -211,7 +211,7 @@ def test_branches_start_at_least_half_the_look_back_time_ago() -> None:
     recording, random = drive(Machine(duration=30.0, fix_rate=1)), np.random.default_rng(0)
     noisy = changed(recording, lambda m, t: moved(m, *0.05 * random.standard_normal(2)))
     p = parameters(**GNSS)
-    estimator, longest, kept_ages = SlipEstimator(p), p.bank.look_back_time, []
+    estimator, longest, ages = SlipEstimator(p), p.bank.look_back_time, []
     for m in noisy:
         estimator.process_all([m])
         last = estimator.window.count - 1
@@ -220,9 +220,9 @@ def test_branches_start_at_least_half_the_look_back_time_ago() -> None:
             older, younger = (stamps[last] - stamps[s["entry"]] for s in branch["snapshots"])
             assert younger <= older <= (longest + 0.1) * S
             if older != younger:
-                kept_ages.append(older / S)
-    assert min(kept_ages) >= longest / 2.0
-    assert max(kept_ages) > 0.9 * longest
+                ages.append(older / S)
+    assert min(ages) >= longest / 2.0
+    assert max(ages) > 0.9 * longest
 
 
 def test_position_is_kept_while_tracks_are_swapped() -> None:
@@ -242,8 +242,8 @@ def test_first_fix_that_is_an_outlier_is_detected_by_the_next_ones() -> None:
     """The first fix is 3 m off and states 2 cm."""
     recording = drive(Machine(duration=20.0, track_error=0.05))
     first = next(m.stamp_ns for m in recording.measurements if isinstance(m, PoseFix))
-    given_ = changed(recording, lambda m, t: moved(m, 3.0, 0.0) if m.stamp_ns == first else m)
-    error, _, _ = errors(given_, recording, parameters(**GNSS))
+    displaced = changed(recording, lambda m, t: moved(m, 3.0, 0.0) if m.stamp_ns == first else m)
+    error, _, _ = errors(displaced, recording, parameters(**GNSS))
     assert error[error.size // 6 :].max() < 0.1
 
 
@@ -531,12 +531,12 @@ def test_noisy_frozen_fixes_leave_no_error_once_they_resume() -> None:
     """Frozen fixes with noise cannot be distinguished from a stuck machine until they resume."""
     recording = drive(Machine(duration=70.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     random = np.random.default_rng(1)
-    held = next(m for m in recording.measurements if isinstance(m, PoseFix))
+    last = next(m for m in recording.measurements if isinstance(m, PoseFix))
 
     def stay(m: PoseFix, t: float) -> PoseFix:
-        nonlocal held
-        held = m if t < 20.0 else held
-        return replace(m, pose=held.pose + random.normal(0.0, 0.03, 3)) if 20.0 <= t < 28.0 else m
+        nonlocal last
+        last = m if t < 20.0 else last
+        return replace(m, pose=last.pose + random.normal(0.0, 0.03, 3)) if 20.0 <= t < 28.0 else m
 
     error, _, estimator = errors(changed(recording, stay), recording, parameters(**GNSS))
     assert {Event.SLIPPED, Event.STAYS} & set(events(estimator))

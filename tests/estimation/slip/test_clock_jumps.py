@@ -24,7 +24,7 @@ def run(found: list[Measurement], **changes: Any) -> tuple[SlipEstimator, list[O
     return estimator, [r.outcome for r, _ in steps], [e for _, e in steps if e is not None]
 
 
-def moved(found: list[Measurement], by_ns: int) -> list[Measurement]:
+def shifted(found: list[Measurement], by_ns: int) -> list[Measurement]:
     return [replace(m, stamp_ns=m.stamp_ns + by_ns) for m in found]
 
 
@@ -45,7 +45,7 @@ def found(drive: Callable[..., Any]) -> list[Measurement]:
 @pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
 def test_bag_loop_repeats_the_same_estimates(found: list[Measurement], start: str) -> None:
     """After the samples that confirm the restart, the estimates are those of a new node."""
-    once = moved(found, S)
+    once = shifted(found, S)
     estimator, outcomes, twice = run([*once, *once], start=start)
     assert estimator.restarts == 1
     assert outcomes.count(Outcome.RESTARTED) == 1
@@ -58,7 +58,7 @@ def test_bag_loop_repeats_the_same_estimates(found: list[Measurement], start: st
 
 
 def test_published_stamps_decrease_only_at_a_restart(found: list[Measurement]) -> None:
-    _, _, published = run([*moved(found, HOUR_NS), *moved(found, S), *moved(found, 2 * HOUR_NS)])
+    _, _, published = run([*shifted(found, HOUR_NS), *shifted(found, S), *shifted(found, 2 * HOUR_NS)])
     steps = np.diff([e.stamp_ns for e in published])
     assert np.count_nonzero(steps < 0) == 1
     assert published[-1].stamp_ns > 2 * HOUR_NS
@@ -68,7 +68,7 @@ def test_published_stamps_decrease_only_at_a_restart(found: list[Measurement]) -
 def test_clock_set_back_by_less_than_the_window_is_detected(found: list[Measurement], back_ms: int) -> None:
     """Samples then look late, but with new positions; a few after the confirmations detect the jump."""
     at = next(k for k, m in enumerate(found) if m.stamp_ns > 4 * S)
-    after = moved(found[at:], -back_ms * 1_000_000)
+    after = shifted(found[at:], -back_ms * 1_000_000)
     estimator, outcomes, published = run([*found[:at], *after])
     assert estimator.restarts == 1
     sprockets = [o for m, o in zip(after, outcomes[at:], strict=True) if isinstance(m, Sprockets)]
@@ -92,7 +92,7 @@ def test_late_burst_is_not_taken_for_another_clock(found: list[Measurement]) -> 
 @pytest.mark.parametrize("k", [0, 200])
 def test_one_stamp_far_ahead_has_no_effect(found: list[Measurement], kind: type, k: int) -> None:
     """The stamp comes during the drive or before all others."""
-    once = moved(found, S)
+    once = shifted(found, S)
     bad = replace(next(m for m in once[k:] if isinstance(m, kind)), stamp_ns=HOUR_NS)
     estimator, outcomes, published = run([*once[:k], bad, *once[k:]])
     clean = run(once)[2]
@@ -105,7 +105,7 @@ def test_one_stamp_far_ahead_has_no_effect(found: list[Measurement], kind: type,
 
 def test_clock_set_forward_keeps_the_learned_states(found: list[Measurement]) -> None:
     """The clock jumps from 1970 to now when the network connects: no restart; the next fix sets the pose."""
-    before, after = moved(found, S), moved(found, 1_700_000_000 * S)
+    before, after = shifted(found, S), shifted(found, 1_700_000_000 * S)
     estimator, outcomes, published = run([*before, *after[: len(after) // 2]])
     assert estimator.restarts == 0
     assert outcomes.count(Outcome.AHEAD) >= 9

@@ -57,8 +57,8 @@ def test_stated_variance_equals_the_error_after_a_fix_with_a_common_error(R: flo
     U = share * R
     P = R + U
     K = P / (P + cap(P, R) * R)
-    left, claimed = R + (1.0 - K) ** 2 * U, (1.0 - K) * P
-    assert claimed == pytest.approx(left, rel=1e-6)
+    variance, claimed = R + (1.0 - K) ** 2 * U, (1.0 - K) * P
+    assert claimed == pytest.approx(variance, rel=1e-6)
 
 
 def test_estimate_that_contains_the_whole_common_error_is_not_updated() -> None:
@@ -70,12 +70,12 @@ def test_estimate_that_contains_the_whole_common_error_is_not_updated() -> None:
 def test_position_error_is_near_that_of_the_fixes_and_within_its_covariance(walk: float) -> None:
     """``walk``: error of dead reckoning in a period, m."""
     rng = np.random.default_rng(1)
-    kept, runs = math.exp(-PERIOD / CORRELATION_TIME), 400
+    decay, runs = math.exp(-PERIOD / CORRELATION_TIME), 400
     slow, error, P = SIGMA * rng.normal(size=runs), np.zeros(runs), SIGMA**2
     error = slow.copy()
     squares, claimed = [], []
     for k in range(1500):
-        slow = kept * slow + math.sqrt(1.0 - kept * kept) * SIGMA * rng.normal(size=runs)
+        slow = decay * slow + math.sqrt(1.0 - decay * decay) * SIGMA * rng.normal(size=runs)
         error, P = error + walk * rng.normal(size=runs), P + walk * walk
         R = min(correlated_inflation(round(PERIOD * 1e9), CORRELATION_TIME), cap(P, SIGMA**2)) * SIGMA**2
         K = P / (P + R)
@@ -88,15 +88,15 @@ def test_position_error_is_near_that_of_the_fixes_and_within_its_covariance(walk
     assert 0.3 < np.mean(squares) / np.mean(claimed) < 1.2
 
 
-def made_up() -> Gaussian:
+def random_gaussian() -> Gaussian:
     rng = np.random.default_rng(4)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
     return Gaussian(rng.normal(size=SIZE), root @ root.T)
 
 
-def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float = 30.0) -> Any:
+def state_with_offset(gaussian: Gaussian, variance: float, g: float = 4.0, time: float = 30.0) -> Any:
     """A record of ``STATE`` with an offset of the source, whose last fixes stated 1 m."""
-    state = state_of(known)[0]
+    state = state_of(gaussian)[0]
     offset = state["offsets"][0]
     errors = offset["errors"]
     errors["f"], errors["g"], errors["time"] = 0.5, g, time
@@ -112,22 +112,22 @@ def prior_of(state: Any) -> Any:
 
 
 def test_transformation_to_the_offset_position_is_invertible() -> None:
-    known = made_up()
-    x, P = known.mean.copy(), known.covariance.copy()
+    before = random_gaussian()
+    x, P = before.mean.copy(), before.covariance.copy()
     to_measured_position(x, P, SOURCE, 1.0, C)
     T = np.eye(SIZE)
     T[PLACE, OFFSET] = np.eye(2)
-    np.testing.assert_allclose(x, T @ known.mean, atol=1e-14)
-    np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=1e-14)
+    np.testing.assert_allclose(x, T @ before.mean, atol=1e-14)
+    np.testing.assert_allclose(P, T @ before.covariance @ T.T, atol=1e-14)
     to_measured_position(x, P, SOURCE, -1.0, C)
-    np.testing.assert_allclose(x, known.mean, atol=1e-14)
-    np.testing.assert_allclose(P, known.covariance, atol=1e-14)
+    np.testing.assert_allclose(x, before.mean, atol=1e-14)
+    np.testing.assert_allclose(P, before.covariance, atol=1e-14)
 
 
 def test_first_coarse_fix_splits_its_error_between_position_and_offset() -> None:
     """In coordinates of the measured position its error is white and independent of the offset."""
     R = np.array(((0.9, 0.1), (0.1, 1.1)))
-    state = given_offset(Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE))), 0.0)
+    state = state_with_offset(Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE))), 0.0)
     state["covariance"][PLACE, PLACE] = R
     begin_offset(state, SOURCE, C)
     x, P = state["mean"].copy(), state["covariance"].copy()
@@ -150,7 +150,7 @@ def test_new_prior_of_an_offset_acts_as_if_set_at_the_start(before: float, g: fl
         H[2, [0, 2]] = 1.0, 0.5
         return P - P @ H.T @ np.linalg.solve(H @ P @ H.T + 0.5 * np.eye(3), H @ P)
 
-    state = given_offset(Gaussian(np.zeros(SIZE), informed(before)), before, g)
+    state = state_with_offset(Gaussian(np.zeros(SIZE), informed(before)), before, g)
     prepare_offset(state, np.zeros(1, UPDATE)[0], prior_of(state), SOURCE, np.eye(2), False, C)
     np.testing.assert_allclose(state["covariance"], informed(g), atol=1e-9)
     assert state["offsets"]["variance"][0] == pytest.approx(g)
@@ -159,24 +159,24 @@ def test_new_prior_of_an_offset_acts_as_if_set_at_the_start(before: float, g: fl
 @pytest.mark.parametrize(("stddev", "variance"), [(0.02, 0.0), (0.4, 4.0 * 0.4**2), (3.0, 36.0)])
 def test_change_of_fix_quality_resets_the_offset(stddev: float, variance: float) -> None:
     """Offsets of different solutions are independent; a precise solution has none."""
-    state = given_offset(made_up(), 4.0)
-    update, prior, requested = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
+    state = state_with_offset(random_gaussian(), 4.0)
+    update, prior, expected = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
     prepare_offset(state, update, prior, SOURCE, stddev**2 * np.eye(2), False, C)
     assert state["offsets"]["variance"][0] == pytest.approx(variance)
     assert update["reset_states"] == 3 << SENSOR_ERRORS
-    requested[OFFSET], requested[:, OFFSET], requested[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
-    np.testing.assert_allclose(state["covariance"], requested)
-    np.testing.assert_allclose(prior["covariance"], requested)
+    expected[OFFSET], expected[:, OFFSET], expected[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
+    np.testing.assert_allclose(state["covariance"], expected)
+    np.testing.assert_allclose(prior["covariance"], expected)
 
 
 @given(st.floats(0.01, 200.0), st.floats(1.0, 30.0))
 def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> None:
-    state = given_offset(made_up(), 4.0, time=time)
+    state = state_with_offset(random_gaussian(), 4.0, time=time)
     x, P = state["mean"].copy(), state["covariance"].copy()
     propagate_offsets(state, dt, C)
-    F, Q, left = np.eye(SIZE), np.zeros((SIZE, SIZE)), math.exp(-dt / time)
-    F[OFFSET, OFFSET] *= left
-    Q[OFFSET, OFFSET] = 4.0 * (1.0 - left * left) * np.eye(2)
+    F, Q, share = np.eye(SIZE), np.zeros((SIZE, SIZE)), math.exp(-dt / time)
+    F[OFFSET, OFFSET] *= share
+    Q[OFFSET, OFFSET] = 4.0 * (1.0 - share * share) * np.eye(2)
     np.testing.assert_allclose(state["mean"], F @ x, atol=1e-12)
     np.testing.assert_allclose(state["covariance"], F @ P @ F.T + Q, atol=1e-12)
 
@@ -200,15 +200,15 @@ def test_time_correlated_errors_of_precise_fixes_keep_the_estimate_consistent(ra
         others = [m for m in recorded.measurements if not isinstance(m, PoseFix)]
         p = parameters(**{"sources.box_pose.standing_share": 0.0})
         estimates = SlipEstimator(p).process_all(sorted([*others, *fixes], key=lambda m: m.stamp_ns))
-        found_ = [e for _, e in estimates if e is not None and e.stamp_ns > 41 * S]
-        stamps = np.array([e.stamp_ns for e in found_]) / S - 1.0
-        for e, t in zip(found_, stamps, strict=True):
+        late = [e for _, e in estimates if e is not None and e.stamp_ns > 41 * S]
+        stamps = np.array([e.stamp_ns for e in late]) / S - 1.0
+        for e, t in zip(late, stamps, strict=True):
             off = e.pose[:2] - [np.interp(t, recorded.t, recorded.poses[:, k]) for k in (0, 1)]
             nees.append(off @ np.linalg.solve(e.pose_covariance[:2, :2], off))
     assert np.mean(nees) < 5.0  # 2 if consistent
 
 
-def found(fixes: FloatArray, stddev: float, period: float) -> Any:
+def estimated_errors(fixes: FloatArray, stddev: float, period: float) -> Any:
     """Estimated error model of fixes at standstill with the stated ``stddev``, m, at every ``period``, s."""
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
     reset_receiver(receiver[0], C)
@@ -223,7 +223,7 @@ def found(fixes: FloatArray, stddev: float, period: float) -> Any:
 @pytest.mark.parametrize("seed", range(3))
 def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
     fixes = math.sqrt(factor) * 0.9 * np.random.default_rng(seed).normal(size=(300, 2))
-    errors = found(fixes, 0.9, 1.0)
+    errors = estimated_errors(fixes, 0.9, 1.0)
     assert errors["white"] > 0.8
     assert errors["f"] == pytest.approx(factor, rel=0.4)
 
@@ -232,7 +232,7 @@ def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
 @pytest.mark.parametrize(("stddev", "time"), [(2.0, 30.0), (5.0, 10.0)])
 def test_large_time_correlated_errors_are_estimated(stddev: float, time: float, seed: int) -> None:
     t = np.arange(0.0, 900.0, 1.0)
-    errors = found(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
+    errors = estimated_errors(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
     assert errors["white"] < 0.01
     assert errors["f"] < 0.5
     assert 0.3 < errors["g"] * 0.9**2 / stddev**2 < 3.0
@@ -243,10 +243,10 @@ def test_large_time_correlated_errors_are_estimated(stddev: float, time: float, 
 @pytest.mark.parametrize("period", [0.1, 1.0])
 def test_errors_of_precise_fixes_count_as_white_until_shown_correlated(period: float, seed: int) -> None:
     noise, t = np.random.default_rng(seed), np.arange(0.0, 120.0, period)
-    white = found(0.02 * noise.normal(size=(t.size, 2)), 0.02, period)
+    white = estimated_errors(0.02 * noise.normal(size=(t.size, 2)), 0.02, period)
     assert white["white"] > 0.9
     assert white["g"] == 0.0
-    correlated = found(gauss_markov(t, 0.04, 10.0, noise), 0.02, period)
+    correlated = estimated_errors(gauss_markov(t, 0.04, 10.0, noise), 0.02, period)
     assert correlated["white"] < 0.1
     assert 0.2 < correlated["g"] * 0.02**2 / 0.04**2 < 5.0
 
@@ -256,7 +256,7 @@ def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
     """Fixes after a jump of the machine must keep their weight."""
     fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
     fixes[100:] += jump
-    assert found(fixes, 0.02, 0.1)["white"] > 0.9
+    assert estimated_errors(fixes, 0.02, 0.1)["white"] > 0.9
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -264,8 +264,8 @@ def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
 def test_wrong_start_heading_is_not_attributed_to_the_receiver(off: float, seed: int) -> None:
     """Fixes beside the predicted path must not count as time-correlated errors."""
     recording = drive(Machine(duration=60.0, seed=seed, fix_noise=0.05, fix_stated=0.05))
-    given = {"initial_yaw": float(recording.poses[0, 2]) + off, "initial_yaw_stddev": 0.02}
-    estimator = SlipEstimator(parameters(**given, **{"sources.box_pose.standing_share": 0.0}))
+    initial = {"initial_yaw": float(recording.poses[0, 2]) + off, "initial_yaw_stddev": 0.02}
+    estimator = SlipEstimator(parameters(**initial, **{"sources.box_pose.standing_share": 0.0}))
     estimator.process_all(recording.measurements)
     errors = estimator.window.receivers[estimator.window.count - 1, 0]["errors"][PRECISE]
     assert abs(math.remainder(estimator.estimate().pose[2] - recording.poses[-1, 2], math.tau)) < 0.05

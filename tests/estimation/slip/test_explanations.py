@@ -111,7 +111,7 @@ def test_unknown_heading_is_reported_until_it_is_found() -> None:
     for m in recording.measurements:
         estimator.process(m)
         texts.append(estimator.competing_explanations.text)
-    begun = [text for text in texts if "the heading is being found from fixes" in text]
-    assert begun
+    unknown = [text for text in texts if "the heading is being found from fixes" in text]
+    assert unknown
     assert texts[-1] == ""
     assert "the heading was wrong" not in " ".join(texts)

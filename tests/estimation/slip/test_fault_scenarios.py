@@ -3,7 +3,7 @@
 """One emulated drive with each fault of a sensor, and the expected result.
 
 ``test_arrival_order`` and ``test_clock_jumps`` have order, repeats, invalid measurements and clocks. A
-fault begins at ``BEGIN`` s of data, during a turn. ``during`` is the largest position error from its begin
+fault begins at ``BEGIN`` s of data, during a turn. ``during`` is the largest position error from its start
 to a second after its end, ``recovery`` the time after its end from which the error stays below ``GOOD``.
 """
 
@@ -42,7 +42,7 @@ class Run:
         return np.hypot(self.errors[:, 0], self.errors[:, 1])
 
     def during(self, end: float) -> float:
-        """Largest position error from the begin of a fault to a second after its end, m."""
+        """Largest position error from the start of a fault to a second after its end, m."""
         inside = (self.seconds >= BEGIN) & (self.seconds <= end + 1.0)
         return float(self.position[inside].max())
 

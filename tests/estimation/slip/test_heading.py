@@ -257,9 +257,9 @@ def test_mounting_angle_of_a_pose_source_is_estimated_from_the_path(turned: floa
 def test_one_wrong_heading_after_an_outage_is_refused() -> None:
     """The heading is off by a quarter turn; the gate must not widen with the silence."""
     truth, measurements = seen(Machine(duration=100.0))
-    kept = [m for m in measurements if not isinstance(m, HeadingFix) or not 31 * S < m.stamp_ns < 91 * S]
-    back = next(k for k, m in enumerate(kept) if isinstance(m, HeadingFix) and m.stamp_ns > 90 * S)
-    wrong = replace(kept[back], heading=math.remainder(kept[back].heading + math.pi / 2.0, math.tau))
-    poses, _, outcomes = run([*kept[:back], wrong, *kept[back + 1 :]], with_headings())
+    outage = [m for m in measurements if not isinstance(m, HeadingFix) or not 31 * S < m.stamp_ns < 91 * S]
+    back = next(k for k, m in enumerate(outage) if isinstance(m, HeadingFix) and m.stamp_ns > 90 * S)
+    wrong = replace(outage[back], heading=math.remainder(outage[back].heading + math.pi / 2.0, math.tau))
+    poses, _, outcomes = run([*outage[:back], wrong, *outage[back + 1 :]], with_headings())
     assert outcomes[wrong.stamp_ns] is Outcome.GATED
     assert np.abs(errors(poses, truth)[:, 2]).max() < 0.1

@@ -33,7 +33,7 @@ from trackslip_estimation.slip.measurements import FORGET, RESET, Command, Measu
 from trackslip_estimation.slip.models.model import GYRO_SCALE
 
 P = parameters()
-OF = learned_context(P)
+CONTEXT = learned_context(P)
 HOUR, MONTH = 3600.0, 30 * 86400.0
 
 
@@ -50,24 +50,24 @@ def learned(driven: list[Measurement]) -> Learned:
     return estimator.learned
 
 
-def bits(known: Learned) -> str:
-    return json.dumps(to_tree(known, OF))
+def bits(learned_: Learned) -> str:
+    return json.dumps(to_tree(learned_, CONTEXT))
 
 
-def named(known: Learned | None, of: LearnedContext = OF) -> dict[str, LearnedQuantity]:
-    return {finding.name: finding for finding in learned_quantities(known, of)}
+def named(learned_: Learned | None, context: LearnedContext = CONTEXT) -> dict[str, LearnedQuantity]:
+    return {quantity.name: quantity for quantity in learned_quantities(learned_, context)}
 
 
-def known(seed: int, n: int = len(OF.places)) -> Learned:
+def random_learned(seed: int, n: int = len(CONTEXT.state_indices)) -> Learned:
     """Random learned states."""
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n + 1))
     covariance = root @ root.T
     stddev = np.sqrt(np.diag(covariance))
     below = np.tril(covariance / np.outer(stddev, stddev), -1)
-    prior = OF.prior
+    prior = CONTEXT.prior
     return Learned(
-        OF.machine,
+        CONTEXT.machine,
         random.standard_normal(n),
         prior.stddev * random.uniform(0.0, 1.0, n),
         below + below.T + np.eye(n),
@@ -78,8 +78,8 @@ def known(seed: int, n: int = len(OF.places)) -> Learned:
 
 @given(st.integers(0, 2**32 - 1))
 def test_learned_states_survive_the_text_bit_for_bit(seed: int) -> None:
-    one = known(seed)
-    back = from_tree(json.loads(bits(one)), OF)
+    one = random_learned(seed)
+    back = from_tree(json.loads(bits(one)), CONTEXT)
     assert bits(back) == bits(one)
     for mine, its in ((one.covariance, back.covariance), (one.track_weights, back.track_weights)):
         np.testing.assert_array_equal(mine, its)
@@ -87,23 +87,23 @@ def test_learned_states_survive_the_text_bit_for_bit(seed: int) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1e9), st.floats(0.0, 1e9))
 def test_age_widens_towards_the_prior_and_never_beyond(seed: int, first: float, then: float) -> None:
-    one, prior = known(seed), OF.prior
-    younger, older = decay_to_prior(one, first, OF), decay_to_prior(one, first + then, OF)
+    one, prior = random_learned(seed), CONTEXT.prior
+    younger, older = decay_to_prior(one, first, CONTEXT), decay_to_prior(one, first + then, CONTEXT)
     assert np.all(younger.stddev <= prior.stddev * (1.0 + 1e-9))
     assert np.all(older.stddev >= younger.stddev * (1.0 - 1e-9))
     assert np.all(np.abs(older.mean - prior.mean) <= np.abs(younger.mean - prior.mean) + 1e-12)
     assert np.linalg.eigvalsh(older.correlations)[0] > -1e-9
-    twice = decay_to_prior(younger, then, OF)
+    twice = decay_to_prior(younger, then, CONTEXT)
     np.testing.assert_allclose(twice.covariance, older.covariance, atol=1e-12)
     np.testing.assert_allclose(twice.track_weights, older.track_weights, atol=1e-9)
 
 
 def test_soil_states_age_within_hours_and_machine_states_within_months(learned: Learned) -> None:
     deviations = {
-        age: dict(zip(OF.places, decay_to_prior(learned, age, OF).stddev, strict=True))
+        age: dict(zip(CONTEXT.state_indices, decay_to_prior(learned, age, CONTEXT).stddev, strict=True))
         for age in (0.0, 12 * HOUR, 12 * MONTH)
     }
-    prior = dict(zip(OF.places, OF.prior.stddev, strict=True))
+    prior = dict(zip(CONTEXT.state_indices, CONTEXT.prior.stddev, strict=True))
     for name in ("efficiency", "loss", "common_slip", "rotation_offset", "gyro_bias"):
         assert deviations[12 * HOUR][name] > 0.9 * prior[name]
     for name in ("gyro_scale", "asymmetry"):
@@ -113,11 +113,11 @@ def test_soil_states_age_within_hours_and_machine_states_within_months(learned: 
 
 def test_estimator_starts_from_learned_states(driven: list[Measurement], learned: Learned) -> None:
     estimator = SlipEstimator(P, learned=learned)
-    assert bits(estimator.learned or known(0)) == bits(learned)
+    assert bits(estimator.learned or random_learned(0)) == bits(learned)
     first = next(k for k, m in enumerate(driven) if isinstance(m, PoseFix))
     estimator.process_all(driven[: first + 1])
     state = estimator.window.best[0]
-    places = list(OF.places.values())
+    places = list(CONTEXT.state_indices.values())
     np.testing.assert_array_equal(state["mean"][places], learned.mean)
     np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
     np.testing.assert_array_equal(state["adaptation"]["log_weights"], learned.track_weights)
@@ -144,7 +144,7 @@ def test_reset_keeps_learned_states_and_forget_drops_them(driven: list[Measureme
     assert before is not None
     estimator.process(Command(RESET))
     assert not estimator.started
-    assert bits(estimator.learned or known(0)) == bits(before)
+    assert bits(estimator.learned or random_learned(0)) == bits(before)
     shift = 60_050_000_000
     fresh, other = SlipEstimator(P), SlipEstimator(P, learned=before)
     estimator.process(Command(FORGET))
@@ -153,20 +153,23 @@ def test_reset_keeps_learned_states_and_forget_drops_them(driven: list[Measureme
     for one in (estimator, fresh, other):
         one.process_all(later)
     np.testing.assert_array_equal(estimator.estimate().pose, fresh.estimate().pose)
-    assert bits(estimator.learned or known(0)) == bits(fresh.learned or known(1))
-    assert bits(estimator.learned or known(0)) != bits(other.learned or known(1))
+    assert bits(estimator.learned or random_learned(0)) == bits(fresh.learned or random_learned(1))
+    assert bits(estimator.learned or random_learned(0)) != bits(other.learned or random_learned(1))
 
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -> None:
     p = parameters(model=model)
-    of, estimator = learned_context(p), SlipEstimator(p)
+    context, estimator = learned_context(p), SlipEstimator(p)
     estimator.process_all(driven)
     found = estimator.learned
     assert found is not None
-    assert all(np.isfinite((f.value, f.stddev)).all() for f in learned_quantities(found, of))
-    assert to_tree(from_tree(to_tree(found, of), of), of) == to_tree(found, of)
-    SlipEstimator(p, learned=decay_to_prior(found, HOUR, of)).process_all(driven)
+    assert all(
+        np.isfinite((quantity.value, quantity.stddev)).all()
+        for quantity in learned_quantities(found, context)
+    )
+    assert to_tree(from_tree(to_tree(found, context), context), context) == to_tree(found, context)
+    SlipEstimator(p, learned=decay_to_prior(found, HOUR, context)).process_all(driven)
 
 
 @pytest.mark.parametrize(
@@ -182,12 +185,12 @@ def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -
 )
 def test_parameters_of_another_machine_are_detected(learned: Learned, changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="another vehicle, or of other sources"):
-        from_tree(to_tree(learned, OF), learned_context(parameters(**changes)))
+        from_tree(to_tree(learned, CONTEXT), learned_context(parameters(**changes)))
 
 
 def test_other_gates_keep_the_machine_identity(learned: Learned) -> None:
-    of = learned_context(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
-    assert to_tree(from_tree(to_tree(learned, OF), of), of) == to_tree(learned, OF)
+    context = learned_context(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
+    assert to_tree(from_tree(to_tree(learned, CONTEXT), context), context) == to_tree(learned, CONTEXT)
 
 
 @pytest.mark.parametrize(
@@ -205,21 +208,21 @@ def test_other_gates_keep_the_machine_identity(learned: Learned) -> None:
 )
 def test_invalid_learned_states_are_refused(learned: Learned, name: str, value: object) -> None:
     with pytest.raises(InputError, match="do not fit"):
-        from_tree({**to_tree(learned, OF), name: value}, OF)
+        from_tree({**to_tree(learned, CONTEXT), name: value}, CONTEXT)
 
 
 # Descriptions
 
 
 def test_nothing_is_observed_before_the_first_metre() -> None:
-    assert {f.sentence for f in learned_quantities(None, OF)} == {NOT_OBSERVED}
-    (line,) = quantity_lines(learned_quantities(None, OF))
+    assert {f.sentence for f in learned_quantities(None, CONTEXT)} == {NOT_OBSERVED}
+    (line,) = quantity_lines(learned_quantities(None, CONTEXT))
     assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
 
 
 def test_state_far_from_its_prior_counts_as_observed() -> None:
     """The slip of spinning tracks has a standard deviation of 0.1; its prior is 0 ± 0.02."""
-    start, k = OF.prior, list(OF.places).index("common_slip")
+    start, k = CONTEXT.prior, list(CONTEXT.state_indices).index("common_slip")
     mean, stddev = start.mean.copy(), start.stddev.copy()
     mean[k], stddev[k] = 1.0, 0.1
     spinning = dataclasses.replace(start, mean=mean, stddev=stddev)

@@ -35,21 +35,17 @@ def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = Non
     state = state or MotionState()
     seen = []
     for left, right in speeds:
-        state = classify(state, measured(left, right), DT, LIMITS)
+        state = classify(state, Speeds(left, right), DT, LIMITS)
         seen.append(state)
     return seen
 
 
-def measured(left: float, right: float) -> Speeds:
-    return Speeds(left, right)
-
-
-def held(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
+def constant(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
     return [(left, right)] * round(seconds / DT)
 
 
 def motions(states: list[MotionState]) -> list[Motion]:
-    """Motion states in the order of their begin."""
+    """Motion states in the order of their start."""
     row = [s.motion for s in states]
     return [m for k, m in enumerate(row) if k == 0 or row[k - 1] != m]
 
@@ -72,7 +68,10 @@ def motions(states: list[MotionState]) -> list[Motion]:
     ],
 )
 def test_steady_speeds(left: float, right: float, expected: Motion) -> None:
-    for state in (drive(held(left, right))[-1], drive(held(0.0, 0.0) + held(left, right, 5.0))[-1]):
+    for state in (
+        drive(constant(left, right))[-1],
+        drive(constant(0.0, 0.0) + constant(left, right, 5.0))[-1],
+    ):
         assert state.motion is expected
         assert not state.changing
         assert state.are_slips_changing == (expected is not Motion.STRAIGHT)
@@ -80,21 +79,21 @@ def test_steady_speeds(left: float, right: float, expected: Motion) -> None:
 
 def test_the_first_sample_counts_whole() -> None:
     assert MotionState().are_slips_changing
-    state = classify(MotionState(), measured(2.0, 2.0), DT, LIMITS)
+    state = classify(MotionState(), Speeds(2.0, 2.0), DT, LIMITS)
     assert (state.motion, state.left, state.right_mean) == (Motion.STRAIGHT, 2.0, 2.0)
 
 
 @pytest.mark.parametrize(("inner", "outer"), [(1.0, 2.0), (-0.5, 2.0)])
 @pytest.mark.parametrize("left_turn", [True, False])
 def test_a_drive_with_one_turn(inner: float, outer: float, left_turn: bool) -> None:
-    turn = held(inner, outer) if left_turn else held(outer, inner)
-    states = drive(held(0.0, 0.0) + held(2.0, 2.0) + turn + held(2.0, 2.0) + held(0.0, 0.0))
+    turn = constant(inner, outer) if left_turn else constant(outer, inner)
+    states = drive(constant(0.0, 0.0) + constant(2.0, 2.0) + turn + constant(2.0, 2.0) + constant(0.0, 0.0))
     expected = [Motion.STANDING, Motion.STRAIGHT, Motion.TURNING, Motion.STRAIGHT, Motion.STANDING]
     assert motions(states) == expected
 
 
 def test_change_is_detected_at_once_and_expires() -> None:
-    states = drive(held(1.0, 1.0) + held(2.0, 2.0))
+    states = drive(constant(1.0, 1.0) + constant(2.0, 2.0))
     changing = [s.changing for s in states]
     assert not any(changing[10:300])
     assert any(changing[300:310])
@@ -106,22 +105,22 @@ def test_change_is_detected_at_once_and_expires() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_change_is_measured_against_the_speed_on_the_spot_too(sign: float) -> None:
-    states = drive(held(2.0, sign * 2.0) + held(2.1, sign * 2.1))
+    states = drive(constant(2.0, sign * 2.0) + constant(2.1, sign * 2.1))
     assert not any(s.changing for s in states[1:])
-    assert any(s.changing for s in drive(held(3.0, sign * 3.0), states[-1]))
+    assert any(s.changing for s in drive(constant(3.0, sign * 3.0), states[-1]))
 
 
-@pytest.mark.parametrize("before", [held(2.0, 2.0), held(1.0, 2.0)])
+@pytest.mark.parametrize("before", [constant(2.0, 2.0), constant(1.0, 2.0)])
 def test_motion_state_is_kept_between_the_limits(before: list[tuple[float, float]]) -> None:
     """|ω_R − ω_L| is 0.08 of the mean: less than 0.10, more than 0.06."""
     states = drive(before)
-    assert drive(held(2.0, 2.167), states[-1])[-1].motion is states[-1].motion
+    assert drive(constant(2.0, 2.167), states[-1])[-1].motion is states[-1].motion
 
 
-@pytest.mark.parametrize("before", [held(0.0, 0.0), held(0.2, 0.2)])
+@pytest.mark.parametrize("before", [constant(0.0, 0.0), constant(0.2, 0.2)])
 def test_motion_state_is_kept_at_slow_creep_between_the_limits(before: list[tuple[float, float]]) -> None:
     states = drive(before)
-    assert drive(held(0.04, 0.04, 6.0), states[-1])[-1].motion is states[-1].motion
+    assert drive(constant(0.04, 0.04, 6.0), states[-1])[-1].motion is states[-1].motion
 
 
 def counted(left: float, right: float, seconds: float) -> list[tuple[float, float]]:
@@ -168,8 +167,8 @@ def test_speed_difference_within_rounding_is_not_published(difference: float) ->
     assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
     assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
     assert variance == COUNTED
-    measured_ = now._replace(variance=0.0)
-    assert smoothed_speeds(measured_, changing, LIMITS) == measured_
+    exact = now._replace(variance=0.0)
+    assert smoothed_speeds(exact, changing, LIMITS) == exact
 
 
 def test_shaking_on_the_spot_is_standstill() -> None:
@@ -179,10 +178,10 @@ def test_shaking_on_the_spot_is_standstill() -> None:
 
 
 def test_splitting_time_changes_nothing_while_speeds_are_steady() -> None:
-    start = drive(held(0.0, 0.0))[-1]
-    once = classify(start, measured(1.0, 2.0), 0.2, LIMITS)
+    start = drive(constant(0.0, 0.0))[-1]
+    once = classify(start, Speeds(1.0, 2.0), 0.2, LIMITS)
     often = start
     for _ in range(20):
-        often = classify(often, measured(1.0, 2.0), 0.01, LIMITS)
+        often = classify(often, Speeds(1.0, 2.0), 0.01, LIMITS)
     assert (once.left, once.right_mean) == pytest.approx((often.left, often.right_mean))
     assert once.motion is often.motion

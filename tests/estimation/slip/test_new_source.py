@@ -30,11 +30,11 @@ SIGMA = 0.05  # m
 def observe_range(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """The range to a beacon at ``value[1:]``: h = |C + R(φ) l − beacon|."""
     x = state.mean[: c.size]
-    place, H = lever(x, state.attitude.level, measurement.source, c), np.zeros((1, x.size))
-    east = x[X] + place.east - measurement.value[1]
-    north = x[Y] + place.north - measurement.value[2]
+    arm, H = lever(x, state.attitude.level, measurement.source, c), np.zeros((1, x.size))
+    east = x[X] + arm.east - measurement.value[1]
+    north = x[Y] + arm.north - measurement.value[2]
     distance = math.hypot(east, north)
-    H[0] = (east * place.jacobian[X] + north * place.jacobian[Y]) / distance
+    H[0] = (east * arm.jacobian[X] + north * arm.jacobian[Y]) / distance
     H[0, X], H[0, Y] = east / distance, north / distance
     return independent_observation(
         np.array((measurement.value[0] - distance,)), H, measurement.noise[:1, :1].copy()

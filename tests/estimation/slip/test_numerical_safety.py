@@ -36,7 +36,7 @@ def fix(stamp_ns: int, covariance: FloatArray = R, x: float = 0.0) -> PoseFix:
     return PoseFix("box_pose", stamp_ns, np.array((x, 0.0, 0.0)), covariance)
 
 
-def standing(end_ns: int, **changed: Any) -> SlipEstimator:
+def after_standstill(end_ns: int, **changed: Any) -> SlipEstimator:
     """An estimator after a standstill from 0 s to ``end_ns``."""
     estimator = SlipEstimator(load_slip_parameters(changed))
     found: list[Measurement] = [fix(0)]
@@ -94,7 +94,7 @@ def test_random_steps_leave_finite_numbers_and_a_positive_covariance(machine: in
 def test_ill_conditioned_fix_is_refused_with_its_reason_and_the_next_one_is_used(
     covariance: FloatArray, fault: Fault
 ) -> None:
-    estimator = standing(S)
+    estimator = after_standstill(S)
     before = estimator.window.best[estimator.window.count - 1].tobytes()
     report, _ = estimator.process(fix(S + MS, covariance))
     assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
@@ -106,7 +106,7 @@ def test_ill_conditioned_fix_is_refused_with_its_reason_and_the_next_one_is_used
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0])
 def test_fix_with_one_observed_direction_is_used(degrees: float) -> None:
     """A variance of 1e6 m² marks an unobserved direction, such as along a corridor for a laser."""
-    estimator = standing(S)
+    estimator = after_standstill(S)
     report, _ = estimator.process(fix(S + MS, turned((1e6, 1e-4), degrees)))
     assert report.outcome is Outcome.ACCEPTED
 
@@ -122,13 +122,13 @@ def test_fix_with_one_observed_direction_is_used(degrees: float) -> None:
     ],
 )
 def test_motion_impossible_for_a_ground_vehicle_is_refused(given: Measurement, fault: Fault) -> None:
-    report, _ = standing(S).process(given)
+    report, _ = after_standstill(S).process(given)
     assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
 
 
 @pytest.mark.parametrize("variance", [1e-300, 1e-20, 1e-12])
 def test_variance_below_what_any_sensor_has_counts_as_the_least(variance: float) -> None:
-    estimator = standing(S)
+    estimator = after_standstill(S)
     for given in (
         YawRate("imu/data_raw", S + MS, 0.0, variance),
         fix(S + 2 * MS, np.diag(np.full(3, variance))),
@@ -142,7 +142,7 @@ def test_variance_below_what_any_sensor_has_counts_as_the_least(variance: float)
 @pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
 @pytest.mark.parametrize("field", ["mean", "covariance"])
 def test_estimate_that_is_not_finite_restarts_and_reports_it(field: str, start: str) -> None:
-    estimator = standing(S, start=start)
+    estimator = after_standstill(S, start=start)
     watch = SourceWatch(estimator.parameters.timeouts_ns())
     estimator.window.best[field][: estimator.window.count] = np.nan
     report, estimate = estimator.process(YawRate("imu/data_raw", S + MS, 0.0, 1e-4))
@@ -161,7 +161,7 @@ def test_estimate_that_is_not_finite_restarts_and_reports_it(field: str, start: 
 
 
 def test_reset_drops_all_states_that_are_not_finite() -> None:
-    estimator = standing(S)
+    estimator = after_standstill(S)
     estimator.window.best["mean"][: estimator.window.count] = np.nan
     assert estimator.learned is None  # the state file keeps its content
     estimator.apply_command(Command(RESET))
@@ -183,7 +183,7 @@ def test_replay_of_a_diverged_estimate_ends_with_the_same_bits() -> None:
         replace(fix(S + 21 * MS), source="box_pose"),
     ]
     for at_once in (False, True):
-        estimator = standing(S)
+        estimator = after_standstill(S)
         estimator.window.best["mean"][: estimator.window.count] = np.nan
         steps = estimator.process_all(given) if at_once else [estimator.process(m) for m in given]
         ends.append([report.outcome for report, _ in steps])

@@ -66,10 +66,10 @@ def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
     """A state with all optional states in use, its configuration record, and the indices of its sources."""
     p, rng = load_slip_parameters(ALL), np.random.default_rng(seed)
     config, root = config_of(ALL), rng.normal(size=(SIZE, SIZE))
-    known = Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
-    known.mean[FIX_DELAY] = 0.0
+    gaussian = Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
+    gaussian.mean[FIX_DELAY] = 0.0
     motion = MotionState(Motion.TURNING, departure=1.0)
-    state = state_of(known, Speeds(1.0, 1.7), motion)
+    state = state_of(gaussian, Speeds(1.0, 1.7), motion)
     level = state["attitude"]["level"]
     if tilted:
         roll, pitch = 0.02, -0.03
@@ -123,9 +123,9 @@ def test_position_correction_rotates_the_machine_about_its_sensor(source: str) -
     measurement["value"], measurement["noise"] = (1.0, 2.0, 1.5), 1e-3 * np.eye(3)
     o = observe(state[0], measurement, c)
     x, P = state["mean"][0, :n].copy(), state["covariance"][0].copy()
-    before, place = x.copy(), lever(x, level, number, c)
+    before, arm = x.copy(), lever(x, level, number, c)
     correct(x, P, o)
-    turn_about_sensor(x, P, before, place, level, number, c)
+    turn_about_sensor(x, P, before, arm, level, number, c)
     assert abs(x[YAW] - before[YAW]) > 0.2
     at, Q = before.copy(), state["covariance"][0].copy()
     to_sensor(at, Q, level, number, 1.0, c)
@@ -155,4 +155,3 @@ def test_only_observations_and_weighing_update_a_state() -> None:
     assert users["correct"] == {f"slip/{name}" for name in corrects} | attitude
     assert users["propagate_covariance"] == {"slip/step.py", "attitude/filter.py"}
     assert users["inflate_noise_to_gate"] <= users["correct"]
-    assert not {"correct_keeping", "correct_knowing", "correct_shared"} & set(users)

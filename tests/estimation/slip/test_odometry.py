@@ -33,7 +33,7 @@ from trackslip_estimation.slip.sources import Rejection
 
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
-STANDSTILL = np.array(quaternion_from_angles(0.2, -0.4, 1.0))  # orientation of its odom frame
+ODOM_ORIENTATION = np.array(quaternion_from_angles(0.2, -0.4, 1.0))  # orientation of its odom frame
 ALONE = 40.0  # s, end of the fixes
 
 
@@ -51,8 +51,8 @@ def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
         np.array(quaternion_from_angles(0.0, 0.0, pose[2])),
         np.array(quaternion_from_angles(*MOUNTING)),
     )
-    at = turned_by(STANDSTILL, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
-    turn = product(product(STANDSTILL, base), camera)
+    at = turned_by(ODOM_ORIENTATION, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
+    turn = product(product(ODOM_ORIENTATION, base), camera)
     return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
 
 
@@ -177,7 +177,9 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
     stamps = [m.stamp_ns for m in odometry]
     far = np.array((100.0, 50.0, 3.0))
     moved = [
-        replace(m, place=m.place + far * (m.stamp_ns >= stamps[60]), frame=7 + (m.stamp_ns >= stamps[100]))
+        replace(
+            m, position=m.position + far * (m.stamp_ns >= stamps[60]), frame=7 + (m.stamp_ns >= stamps[100])
+        )
         for m in odometry
         if not stamps[140] <= m.stamp_ns < stamps[150]
     ]
@@ -190,9 +192,9 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        {"place": np.array((np.nan, 0.0, 0.0))},
-        {"turn": np.zeros(4)},
-        {"turn": np.array((0.0, 0.0, 0.0, 1.2))},
+        {"position": np.array((np.nan, 0.0, 0.0))},
+        {"orientation": np.zeros(4)},
+        {"orientation": np.array((0.0, 0.0, 0.0, 1.2))},
         {"variances": np.full((2, 3), -1e-6)},
         {"variances": np.full((2, 3), np.nan)},
     ],
@@ -213,7 +215,7 @@ def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
     x, y = (v / rate * np.sin(turn), v / rate * (1.0 - np.cos(turn))) if rate else (v * T, 0.0)
     first, second = pose_of(S, np.zeros(3)), pose_of(2 * S, np.array((x, y, turn)))
     c = SimpleNamespace(levers=np.array([LEVER]), mountings=np.array([quaternion_from_angles(*MOUNTING)]))
-    measured = SimpleNamespace(source=0, value=second.place, turn=second.turn)
+    measured = SimpleNamespace(source=0, value=second.position, orientation=second.orientation)
     found = increment.py_func(  # type: ignore[attr-defined]  # numba's
         first, measured, T, c
     )

@@ -81,8 +81,8 @@ def drive(state: Any = None, seconds: float = 20.0) -> list[Measurement]:
         found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
         shown = machine() * Rotation.from_rotvec(rng.normal(0.0, STDDEV, 3))
         covariance, size = own if state is None else state(k * 0.05)
-        felt = force + rng.normal(0.0, 0.05, 3)
-        measured = yaw_rate(message(shown, covariance, felt, stamp_ns, size), IMU, imu)
+        acceleration = force + rng.normal(0.0, 0.05, 3)
+        measured = yaw_rate(message(shown, covariance, acceleration, stamp_ns, size), IMU, imu)
         assert isinstance(measured, YawRate)
         found.append(measured)
         if k % 20 == 0:

@@ -17,7 +17,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
 S = 1_000_000_000
 Run = Callable[..., Any]
-MessageFactory = Callable[..., SlipEstimatorParameters]
+ParametersFactory = Callable[..., SlipEstimatorParameters]
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_covariances_stay_symmetric_and_positive(
 
 
 def test_estimator_starts_at_the_first_fix(
-    drive: Callable[..., Any], thesis_parameters: MessageFactory
+    drive: Callable[..., Any], thesis_parameters: ParametersFactory
 ) -> None:
     driven = drive([(4.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     late = [m for m in driven.measurements if not isinstance(m, PoseFix) or m.stamp_ns >= 2 * S]
@@ -172,7 +172,7 @@ def test_estimator_starts_at_the_first_fix(
     np.testing.assert_allclose(first.pose, start.pose, atol=0.02)
 
 
-def test_configured_start_is_the_first_estimate(thesis_parameters: MessageFactory) -> None:
+def test_configured_start_is_the_first_estimate(thesis_parameters: ParametersFactory) -> None:
     estimator = SlipEstimator(
         thesis_parameters(initial_x=1.0, initial_y=-2.0, initial_yaw=0.5, initial_yaw_stddev=0.1)
     )

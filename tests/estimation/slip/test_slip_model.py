@@ -110,10 +110,6 @@ def test_twist_jacobian(x: FloatArray, left: float, right: float) -> None:
     np.testing.assert_allclose(dispatch.twist_jacobian(x, left, right, C), expected, atol=1e-7)
 
 
-def measured(left: float, right: float) -> Speeds:
-    return Speeds(left, right)
-
-
 @pytest.mark.parametrize(("kind", "rows"), [(YAW_RATE, 1), (POSE, 2), (POSE, 3)])
 @given(x=states, left=speeds, right=speeds)
 def test_h_is_the_derivative_of_the_measurement(
@@ -150,7 +146,7 @@ def test_heading_innovation_is_the_shorter_angle(filter_: str) -> None:
     """From 3.1 rad a fix at −3.1 rad is 0.083 rad ahead; the middle is at 3.1416 rad."""
     at = Gaussian(state(yaw=3.1), np.eye(SIZE) * 1e-4)
     fix = pose_measured(np.array((0.0, 0.0, -3.1)), np.eye(3) * 1e-4, True)
-    found = filter_step(config_of(GIVEN, filter=filter_), at, measured(0.0, 0.0), 0.0, STRAIGHT, fix)
+    found = filter_step(config_of(GIVEN, filter=filter_), at, Speeds(0.0, 0.0), 0.0, STRAIGHT, fix)
     turn = 2 * math.pi - 6.2
     assert found.nis == pytest.approx(turn**2 / 2e-4)
     assert wrap(found.updated.mean[YAW] - 3.1) == pytest.approx(turn / 2.0)
@@ -160,7 +156,7 @@ def test_heading_innovation_is_the_shorter_angle(filter_: str) -> None:
 def test_outputs_are_the_twist_and_the_slips(x: FloatArray, left: float, right: float) -> None:
     root = np.zeros((SIZE, SIZE))
     root[:ACTIVE, :ACTIVE] = np.arange(49.0).reshape(7, 7) % 11.0
-    found = outputs_of(CONFIG, Gaussian(x, root @ root.T), measured(left, right))
+    found = outputs_of(CONFIG, Gaussian(x, root @ root.T), Speeds(left, right))
     J = differences(lambda v: twist(v, left, right), x)
     np.testing.assert_array_equal(found["twist"], twist(x, left, right))
     np.testing.assert_allclose(found["twist_covariance"], J @ root @ root.T @ J.T, rtol=1e-5, atol=1e-4)
@@ -230,8 +226,8 @@ def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right:
     root = np.random.default_rng(0).normal(size=(SIZE, SIZE)) * 0.1
     root[UNDERCARRIAGE_SIZE:] = 0.0  # states that the test does not use
     P, R = root @ root.T, np.array(((1e-4,),))
-    known = Gaussian(x, P)
-    step = filter_step(CONFIG, known, measured(left, right), dt, STRAIGHT, rate_measured(0.3, 1e-4))
+    start = Gaussian(x, P)
+    step = filter_step(CONFIG, start, Speeds(left, right), dt, STRAIGHT, rate_measured(0.3, 1e-4))
     drive = Drive(left, right)
     F = filter_steps.transition(x, drive, dt, CONFIG)
     P = F @ P @ F.T + process_noise(x, P, drive, dt, CONFIG)
@@ -239,21 +235,21 @@ def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right:
     x = move(x, left, right, dt)
     H = jacobian(YAW_RATE, x, 1, (left, right), C)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    keep = np.eye(SIZE) - K @ H
+    A = np.eye(SIZE) - K @ H
     corrected = x + K @ (0.3 - expected(YAW_RATE, x, 1, (left, right), C))
     corrected[YAW] = wrap(corrected[YAW])
     np.testing.assert_allclose(step.updated.mean, corrected, rtol=1e-12, atol=1e-12)
-    joseph = keep @ P @ keep.T + K @ R @ K.T
+    joseph = A @ P @ A.T + K @ R @ K.T
     np.testing.assert_allclose(step.updated.covariance, joseph, rtol=1e-12, atol=1e-11)
 
 
 def grown(drive: Drive, duration: float, steps: int, config: ConfigRecord = CONFIG) -> FloatArray:
     """Covariance after ``duration`` s in ``steps`` steps, from a start without uncertainty."""
-    known = Gaussian(state(left=0.1, right=0.05, angle=0.02), NOTHING)
+    gaussian = Gaussian(state(left=0.1, right=0.05, angle=0.02), NOTHING)
     speeds_, motion = drive.parts
     for _ in range(steps):
-        known = filter_step(config, known, speeds_, duration / steps, motion, Measured()).predicted
-    return known.covariance
+        gaussian = filter_step(config, gaussian, speeds_, duration / steps, motion, Measured()).predicted
+    return gaussian.covariance
 
 
 @pytest.mark.parametrize("motion", [STRAIGHT, MotionState(Motion.TURNING, changing=True)])

@@ -31,7 +31,7 @@ from trackslip_estimation.slip.records import STATE
 
 MS, R = 1_000_000, 0.159
 HEIGHT = 2.0  # m, of an antenna
-UP = "sources.box_pose."
+GROUP = "sources.box_pose."
 
 
 def across(heading: float, slope: float) -> tuple[float, float]:
@@ -161,7 +161,7 @@ def test_slip_variance_is_inflated_when_the_slope_reverses() -> None:
 def test_an_antenna_leans_with_the_machine() -> None:
     slope = math.radians(15.0)
     measurements = drive(0.8, slope, antenna=HEIGHT)
-    found, _ = end_of(measurements, **{f"{UP}lever_arm_z": HEIGHT})
+    found, _ = end_of(measurements, **{f"{GROUP}lever_arm_z": HEIGHT})
     expected, _ = end_of(drive(0.8, slope))
     np.testing.assert_allclose(found.pose[:2], expected.pose[:2], atol=0.02)
     ignored, _ = end_of(measurements)

@@ -132,13 +132,13 @@ def test_track_at_standstill_that_is_dragged_has_a_large_slip(model: str) -> Non
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     x = np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
-    is_standing = Speeds(0.0, 2.0)
-    found = outputs_of(config, Gaussian(x, P), is_standing)
+    speeds_ = Speeds(0.0, 2.0)
+    found = outputs_of(config, Gaussian(x, P), speeds_)
     (v, _, rate), slips = found["twist"], found["slips"]
     frame = v - rate * TREAD / 2.0
     assert abs(frame) > 0.03
     assert abs(frame / (1.0 - slips[0])) < load_soil_parameters().stall.least_speed
-    S = differences(lambda at: outputs_of(config, Gaussian(at, P), is_standing)["slips"].copy(), x)
+    S = differences(lambda at: outputs_of(config, Gaussian(at, P), speeds_)["slips"].copy(), x)
     np.testing.assert_allclose(found["slip_covariance"], S @ P @ S.T, rtol=1e-5, atol=1e-8)
 
 

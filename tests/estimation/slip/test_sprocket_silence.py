@@ -19,20 +19,20 @@ S, MS = 1_000_000_000, 1_000_000
 MODELS = ["turning", "icr", "free_slips"]
 
 
-PATIENT = {"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0}
+SHORT_TIMEOUT = {"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0}
 Sample = tuple[int, float, float]  # ms, position of both, measured speed of both
 
 
-class Known(NamedTuple):
+class UsedSpeeds(NamedTuple):
     """Sprocket speeds of a state at a stamp."""
 
     speeds: tuple[float, float, bool]  # left, right, and whether from counts
     coasting: bool
 
 
-def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]:
+def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[UsedSpeeds]:
     """Speeds that the estimator uses at each stamp; the sprocket timeout is 100 ms."""
-    p = load_slip_parameters(PATIENT)
+    p = load_slip_parameters(SHORT_TIMEOUT)
     found: list[Measurement] = [
         Sprockets("sprockets", S + ms * MS, speed, speed, (angle, angle)) for ms, angle, speed in samples
     ]
@@ -50,7 +50,7 @@ def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]
     asked = [entries[S + ms * MS] for ms in asked_ms]
     speeds = [state["speeds"].item() for state in asked]
     return [
-        Known((*found, variance > 0.0), bool(state["coasting"]))
+        UsedSpeeds((*found, variance > 0.0), bool(state["coasting"]))
         for (*found, variance, _), state in zip(speeds, asked, strict=True)
     ]
 
@@ -75,11 +75,11 @@ def test_speed_is_known_only_in_the_first_part_of_a_long_gap() -> None:
 
 def test_measured_speed_replaces_a_position_jump() -> None:
     samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
-    jumped, sound = states_at(samples, (70, 120))
+    jumped, continuous = states_at(samples, (70, 120))
     assert jumped.speeds == pytest.approx((3.0, 3.0, True), abs=2.0 * HALF_A_COUNT)
     assert not jumped.coasting
-    assert sound.speeds == pytest.approx((2.0, 2.0, True), abs=2.0 * HALF_A_COUNT)
-    p = load_slip_parameters(PATIENT)
+    assert continuous.speeds == pytest.approx((2.0, 2.0, True), abs=2.0 * HALF_A_COUNT)
+    p = load_slip_parameters(SHORT_TIMEOUT)
     given = [Sprockets("sprockets", ms * MS, w, w, (angle, angle)) for ms, angle, w in samples]
     outcomes = [r.outcome for r, _ in SlipEstimator(p).process_all(given)]
     assert outcomes == [Outcome.ACCEPTED, Outcome.ACCEPTED, Outcome.JUMPED, Outcome.ACCEPTED]
@@ -224,7 +224,7 @@ def test_pose_is_published_through_20_s_without_sprockets(
     if not with_gyro:
         found = without(found, (YawRate,), 15.0, 35.0)
     estimator = SlipEstimator(load_slip_parameters({"model": model}))
-    outcomes, dead, back, usual = [], [], [], 0.0
+    outcomes, silent, back, usual = [], [], [], 0.0
     for m in found:
         report, e = estimator.process(m)
         if m.stamp_ns > 15 * S:
@@ -239,12 +239,12 @@ def test_pose_is_published_through_20_s_without_sprockets(
         if 16 * S < e.stamp_ns < 35 * S:
             assert (np.abs(error) < 4.0 * deviations).all()
             assert e.motion is Motion.UNKNOWN
-            dead.append((e.stamp_ns, float(deviations[0])))
+            silent.append((e.stamp_ns, float(deviations[0])))
         if e.stamp_ns > 37 * S:
             back.append(np.hypot(*error[:2]))
     assert {Outcome.AHEAD, Outcome.TOO_LATE, Outcome.RESTARTED}.isdisjoint(outcomes)
     assert outcomes.count(Outcome.GATED) <= 2
-    stamps, spread = np.array(dead).T
+    stamps, spread = np.array(silent).T
     assert np.diff(stamps).max() <= (0.1 if with_gyro else 0.2) * S
     assert spread.min() > 1.3 * usual
     assert max(back) < 0.1

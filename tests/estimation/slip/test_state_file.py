@@ -20,7 +20,7 @@ from trackslip_estimation.slip.learned import Learned, decay_to_prior, learned_c
 from trackslip_estimation.slip.state_file import StateFile, parse_state, state_text
 
 P = parameters()
-OF = learned_context(P)
+CONTEXT = learned_context(P)
 NOW_S = 1.8e9
 HOUR = 3600.0
 
@@ -33,7 +33,7 @@ def _learned() -> Learned:
 
 
 LEARNED = _learned()
-TEXT = state_text(LEARNED, OF, NOW_S)
+TEXT = state_text(LEARNED, CONTEXT, NOW_S)
 
 
 @pytest.fixture
@@ -52,10 +52,10 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 
 
 def written(path: Path, learned: Learned = LEARNED) -> StateFile:
-    kept = StateFile(str(path))
-    kept.write(learned, OF)
-    kept.finish()
-    return kept
+    store = StateFile(str(path))
+    store.write(learned, CONTEXT)
+    store.finish()
+    return store
 
 
 def put(path: Path, text: str) -> None:
@@ -68,12 +68,12 @@ def test_written_states_are_read_with_their_age(path: Path, at: Callable[[float]
     assert written(path).failures == 0
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     at(NOW_S + 2 * HOUR)
-    kept = StateFile(str(path))
-    found = kept.read(OF)
+    store = StateFile(str(path))
+    found = store.read(CONTEXT)
     assert found is not None
-    assert kept.used
-    assert kept.note == f"starts from values learned 2 h ago ({path})"
-    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, 2 * HOUR, OF), OF)
+    assert store.used
+    assert store.note == f"starts from values learned 2 h ago ({path})"
+    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, 2 * HOUR, CONTEXT), CONTEXT)
 
 
 def test_the_file_can_be_read_by_people(path: Path) -> None:
@@ -86,21 +86,21 @@ def test_the_file_can_be_read_by_people(path: Path) -> None:
 
 def test_no_file_is_written_without_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    kept = StateFile("")
-    assert not kept
-    assert kept.read(OF) is None
-    kept.write(LEARNED, OF)
-    kept.forget(OF)
-    kept.finish()
-    assert kept.failures == 0
+    store = StateFile("")
+    assert not store
+    assert store.read(CONTEXT) is None
+    store.write(LEARNED, CONTEXT)
+    store.forget(CONTEXT)
+    store.finish()
+    assert store.failures == 0
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
-    kept = StateFile("~/kept.yaml")
-    kept.write(LEARNED, OF)
-    kept.finish()
+    store = StateFile("~/kept.yaml")
+    store.write(LEARNED, CONTEXT)
+    store.finish()
     assert (tmp_path / "kept.yaml").is_file()
 
 
@@ -110,32 +110,32 @@ def test_an_unknown_home_is_refused() -> None:
 
 
 def test_the_first_start_has_nothing_to_read(path: Path) -> None:
-    kept = StateFile(str(path))
-    assert kept.read(OF) is None
-    assert kept.used
-    assert kept.note == f"no learned values: there is no file {path}"
+    store = StateFile(str(path))
+    assert store.read(CONTEXT) is None
+    assert store.used
+    assert store.note == f"no learned values: there is no file {path}"
 
 
 @given(at=st.integers(0, len(TEXT) - 1), character=st.sampled_from("09.-ae \n#é"))
 def test_a_file_changed_anywhere_is_noticed(at: int, character: str) -> None:
     changed = TEXT[:at] + character + TEXT[at + 1 :]
     if changed.strip() == TEXT.strip():
-        assert parse_state(changed, OF)[1] == NOW_S
+        assert parse_state(changed, CONTEXT)[1] == NOW_S
     else:
         with pytest.raises(InputError):
-            parse_state(changed, OF)
+            parse_state(changed, CONTEXT)
 
 
 @given(st.integers(0, len(TEXT.rstrip()) - 1))
 def test_a_file_cut_anywhere_is_noticed(length: int) -> None:
     with pytest.raises(InputError, match="edited or truncated"):
-        parse_state(TEXT[:length], OF)
+        parse_state(TEXT[:length], CONTEXT)
 
 
 @given(st.text())
 def test_malformed_file_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="edited or truncated"):
-        parse_state(text, OF)
+        parse_state(text, CONTEXT)
 
 
 @pytest.mark.parametrize(
@@ -150,53 +150,53 @@ def test_malformed_file_is_refused(text: str) -> None:
 def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reason: str) -> None:
     path.parent.mkdir()
     path.write_bytes(content)
-    kept = StateFile(str(path))
-    assert kept.read(OF) is None
-    assert not kept.used
-    assert reason in kept.note
-    assert str(path) in kept.note
-    assert "\n" not in kept.note
+    store = StateFile(str(path))
+    assert store.read(CONTEXT) is None
+    assert not store.used
+    assert reason in store.note
+    assert str(path) in store.note
+    assert "\n" not in store.note
     assert path.read_bytes() == content  # until there is a state to write
     for _ in range(2):
-        kept.write(LEARNED, OF)
-        kept.finish()
+        store.write(LEARNED, CONTEXT)
+        store.finish()
     assert path.with_name(f"{path.name}.unused").read_bytes() == content
     assert len(list(path.parent.iterdir())) == 2
-    assert StateFile(str(path)).read(OF) is not None
+    assert StateFile(str(path)).read(CONTEXT) is not None
 
 
 def test_up_to_nine_unusable_files_are_kept_aside(path: Path) -> None:
     """With nine of them no more files are written, and /diagnostics states the reason."""
     for n in range(MAX_UNUSED_FILES + 1):
         put(path, f"years of work, {n}")
-        kept = StateFile(str(path))
-        assert kept.read(OF) is None
-        kept.write(LEARNED, OF)
-        kept.finish()
-    assert kept.failure == "9 files slip_estimator.yaml.unused… are there already; move or delete some"
+        store = StateFile(str(path))
+        assert store.read(CONTEXT) is None
+        store.write(LEARNED, CONTEXT)
+        store.finish()
+    assert store.failure == "9 files slip_estimator.yaml.unused… are there already; move or delete some"
     assert path.read_text(encoding="utf-8") == f"years of work, {MAX_UNUSED_FILES}"
-    kept.forget(OF)
-    assert kept.failures == 2
+    store.forget(CONTEXT)
+    assert store.failures == 2
     texts = sorted(file.read_text(encoding="utf-8") for file in path.parent.iterdir())
     assert texts == [f"years of work, {n}" for n in range(MAX_UNUSED_FILES + 1)]
     path.with_name(f"{path.name}.unused-3").unlink()
-    kept.write(LEARNED, OF)
-    kept.finish()
-    assert kept.failure == ""
-    assert StateFile(str(path)).read(OF) is not None
+    store.write(LEARNED, CONTEXT)
+    store.finish()
+    assert store.failure == ""
+    assert StateFile(str(path)).read(CONTEXT) is not None
 
 
 def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> None:
     written(path)
     first = path.read_bytes()
     other = parameters(**{"vehicle.kinematics.tread": 0.8})
-    kept = StateFile(str(path))
-    assert kept.read(learned_context(other)) is None
-    assert "of another vehicle" in kept.note
+    store = StateFile(str(path))
+    assert store.read(learned_context(other)) is None
+    assert "of another vehicle" in store.note
     estimator = SlipEstimator(other)
     estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    kept.write(estimator.learned, learned_context(other))
-    kept.finish()
+    store.write(estimator.learned, learned_context(other))
+    store.finish()
     (aside,) = (p for p in path.parent.iterdir() if p != path)
     assert aside.name.startswith(f"{path.name}.of-")
     assert aside.read_bytes() == first
@@ -220,15 +220,15 @@ def test_vehicle_finds_its_file_after_another_one_used_the_path(
 
     at(NOW_S + HOUR)
     again = StateFile(str(path))
-    found = again.read(OF)
+    found = again.read(CONTEXT)
     assert found is not None
-    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, HOUR, OF), OF)
+    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, HOUR, CONTEXT), CONTEXT)
     assert again.used
     assert "60 min ago" in again.note
     assert ".of-" in again.note
-    again.forget(OF)
+    again.forget(CONTEXT)
     assert first not in [file.read_bytes() for file in path.parent.iterdir()]
-    assert StateFile(str(path)).read(OF) is None
+    assert StateFile(str(path)).read(CONTEXT) is None
     assert StateFile(str(path)).read(other) is not None  # under its new name
 
 
@@ -243,14 +243,14 @@ def test_damaged_file_kept_aside_is_reported_and_kept(path: Path) -> None:
     visitor.finish()
     (aside,) = (p for p in path.parent.iterdir() if p != path)
     aside.write_text("years of work", encoding="utf-8")
-    kept = StateFile(str(path))
-    assert kept.read(OF) is None
-    assert f"{aside} is not used: its checksum is wrong: it was edited or truncated" in kept.note
-    assert not kept.used
-    kept.write(LEARNED, OF)
-    kept.finish()
+    store = StateFile(str(path))
+    assert store.read(CONTEXT) is None
+    assert f"{aside} is not used: its checksum is wrong: it was edited or truncated" in store.note
+    assert not store.used
+    store.write(LEARNED, CONTEXT)
+    store.finish()
     assert aside.with_name(f"{aside.name}.unused").read_text(encoding="utf-8") == "years of work"
-    assert StateFile(str(path)).read(OF) is not None
+    assert StateFile(str(path)).read(CONTEXT) is not None
 
 
 @pytest.mark.parametrize("now_s", [NOW_S - HOUR, 0.0, NOW_S + 1e9])
@@ -260,17 +260,17 @@ def test_implausible_clock_ages_learned_states_by_a_week(
     at(NOW_S)
     written(path)
     at(now_s)
-    kept = StateFile(str(path))
-    found = kept.read(OF)
+    store = StateFile(str(path))
+    found = store.read(CONTEXT)
     assert found is not None
-    assert "at an unknown time" in kept.note
-    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, 7 * 86400.0, OF), OF)
+    assert "at an unknown time" in store.note
+    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, 7 * 86400.0, CONTEXT), CONTEXT)
 
 
 def test_file_of_another_version_is_not_used() -> None:
     body = TEXT.replace("version: 2\n", "version: 99\n").rpartition("\nchecksum: ")[0]
     with pytest.raises(InputError, match="of another version"):
-        parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
+        parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", CONTEXT)
 
 
 @pytest.mark.parametrize("when", ["", "yesterday", "2026-99-99", "9" * 30])
@@ -279,11 +279,11 @@ def test_file_without_a_date_is_not_used(when: str) -> None:
     body = TEXT.replace(date, when).rpartition("\nchecksum: ")[0]
     assert body != TEXT
     with pytest.raises(InputError, match="time of writing"):
-        parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
+        parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", CONTEXT)
 
 
 def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = written(path)
+    store = written(path)
     before = path.read_bytes()
 
     def full(_: int) -> None:
@@ -291,61 +291,61 @@ def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch:
 
     monkeypatch.setattr(os, "fsync", full)
     for _ in range(2):
-        kept.write(LEARNED, OF)
-        kept.finish()
-    assert (kept.failures, kept.failure) == (2, "No space left on device")
-    assert kept.status()["not written"] == "2"
+        store.write(LEARNED, CONTEXT)
+        store.finish()
+    assert (store.failures, store.failure) == (2, "No space left on device")
+    assert store.status()["not written"] == "2"
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     monkeypatch.undo()
-    kept.write(LEARNED, OF)
-    kept.finish()
-    assert (kept.failures, kept.failure) == (2, "")
+    store.write(LEARNED, CONTEXT)
+    store.finish()
+    assert (store.failures, store.failure) == (2, "")
 
 
 @pytest.mark.parametrize("name", ["a file/kept.yaml", "/proc/kept.yaml", "bad\0name", "folder"])
 def test_estimator_continues_where_its_file_cannot_be_written(tmp_path: Path, name: str) -> None:
     (tmp_path / "a file").write_text("", encoding="utf-8")
     (tmp_path / "folder").mkdir()
-    kept = StateFile(str(tmp_path / name))
-    assert kept.read(OF) is None
+    store = StateFile(str(tmp_path / name))
+    assert store.read(CONTEXT) is None
     if name == "folder":
-        assert "it is not a regular file" in kept.note
+        assert "it is not a regular file" in store.note
         return
-    kept.write(LEARNED, OF)
-    kept.finish()
-    assert kept.failures == 1
-    assert kept.failure
+    store.write(LEARNED, CONTEXT)
+    store.finish()
+    assert store.failures == 1
+    assert store.failure
 
 
 def test_no_file_is_written_before_anything_is_learned(path: Path) -> None:
-    kept = StateFile(str(path))
-    kept.write(None, OF)
-    kept.finish()
+    store = StateFile(str(path))
+    store.write(None, CONTEXT)
+    store.finish()
     assert not path.exists()
 
 
 def test_forget_removes_the_file_until_the_next_write(path: Path, at: Callable[[float], None]) -> None:
     at(NOW_S)
-    kept = written(path)
-    kept.forget(OF)
-    kept.forget(OF)
+    store = written(path)
+    store.forget(CONTEXT)
+    store.forget(CONTEXT)
     assert not path.exists()
-    assert kept.failures == 0
-    kept.write(LEARNED, OF)
-    kept.finish()
-    found = StateFile(str(path)).read(OF)
+    assert store.failures == 0
+    store.write(LEARNED, CONTEXT)
+    store.finish()
+    found = StateFile(str(path)).read(CONTEXT)
     assert found is not None
-    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, 0.0, OF), OF)
+    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, 0.0, CONTEXT), CONTEXT)
 
 
 def test_forget_keeps_the_file_of_another_vehicle(path: Path) -> None:
     written(path)
     first = path.read_bytes()
-    kept = StateFile(str(path))
+    store = StateFile(str(path))
     other = learned_context(parameters(**{"vehicle.kinematics.tread": 0.8}))
-    assert kept.read(other) is None
-    kept.forget(other)
+    assert store.read(other) is None
+    store.forget(other)
     (aside,) = path.parent.iterdir()
     assert aside != path
     assert aside.read_bytes() == first

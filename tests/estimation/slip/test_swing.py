@@ -266,7 +266,10 @@ def test_mounts_of_sensors_are_those_of_the_vehicle() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"model": "free_slips"}, "'free_slips' knows no swing, and box_pose, imu/data_raw sits above"),
+        (
+            {"model": "free_slips"},
+            "'free_slips' has no swing angle, and the upper structure carries box_pose, imu/data_raw",
+        ),
         ({"sources.box_pose.mount": "roof"}, r"mount: 'roof'.*accepted: one of undercarriage, upper"),
         ({"swing.acceleration": 0.0}, "swing.acceleration: 0.0 is out of range"),
     ],

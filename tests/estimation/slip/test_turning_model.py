@@ -44,19 +44,19 @@ def test_rounded_counts_hardly_slow_a_straight_drive() -> None:
     t = np.arange(1001) * 0.01
     angles = np.floor(np.outer(t, (1.4, 1.4)) / P.encoder_resolution + (0.2, 0.7)) * P.encoder_resolution
     speeds = (np.diff(angles, axis=0) / 0.01).tolist()
-    taken = np.mean([speed_loss(left, right) for left, right in speeds])
+    loss = np.mean([speed_loss(left, right) for left, right in speeds])
     rectified = np.mean([RADIUS * abs(right - left) / 2.0 for left, right in speeds])
     assert rectified > 0.008 * RADIUS * 1.4
-    assert 0.0 < taken < 0.5 * rectified
+    assert 0.0 < loss < 0.5 * rectified
 
 
 def test_lower_turning_efficiency_raises_the_speed_loss() -> None:
     """The prior correlation keeps κ + η at 0.8 ± 0.2."""
     state = start_of(CONFIG, np.zeros(3), np.diag((0.01, 0.01, 0.01)) ** 2)
     turning, speeds = MotionState(Motion.TURNING, changing=False), Speeds(1.0, 2.0)
-    shown = rate_measured(0.1 * RADIUS / P.vehicle.kinematics.tread, 1e-8)
+    measured = rate_measured(0.1 * RADIUS / P.vehicle.kinematics.tread, 1e-8)
     for _ in range(100):
-        state = filter_step(CONFIG, state, speeds, 0.02, turning, shown).updated
+        state = filter_step(CONFIG, state, speeds, 0.02, turning, measured).updated
     assert state.mean[EFFICIENCY] == pytest.approx(0.1, abs=0.02)
     assert state.mean[LOSS] == pytest.approx(0.7, abs=0.03)
     assert np.sqrt(state.covariance[LOSS, LOSS]) == pytest.approx(0.2, abs=0.02)

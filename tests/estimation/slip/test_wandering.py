@@ -16,12 +16,12 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import OFFSET, UPDATE
 from trackslip_estimation.slip.wandering import begin_wander, weigh_wander
 
-PLACE, FIX = 0.02, 0.03  # m, standard deviations of the position at the begin, and of fixes
+PLACE, FIX = 0.02, 0.03  # m, standard deviations of the position at the start, and of fixes
 NOTHING = 1e-12
 
 
 def evidence_of(residuals: FloatArray, t: FloatArray, most: float) -> float:
-    """Sum of the log evidence of fixes with residuals (n, 2) m at n times since the begin, s."""
+    """Sum of the log evidence of fixes with residuals (n, 2) m at n times since the start, s."""
     p = load_slip_parameters({"events.wander_speed": most, "events.wander_walk": NOTHING})
     config, wander = make_config(p)[0], np.zeros(1, OFFSET)[0]["wander"]
     update = np.zeros(1, UPDATE)[0]
@@ -37,7 +37,7 @@ def evidence_of(residuals: FloatArray, t: FloatArray, most: float) -> float:
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
 def test_evidence_of_fixes_that_wander_is_their_common_density(steps: list[float], seed: int) -> None:
-    """Their offset and its speed are constant and unknown at the begin."""
+    """Their offset and its speed are constant and unknown at the start."""
     random, t, most = np.random.default_rng(seed), np.cumsum(steps), 0.2
     speed = 0.02 * random.standard_normal(2)
     residuals = t[:, None] * speed + 0.03 * random.standard_normal((t.size, 2))

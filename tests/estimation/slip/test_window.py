@@ -23,19 +23,19 @@ COUNT = load_slip_parameters().encoder_resolution  # rad
 def test_window_sorts_measurements_by_stamp(given_: list[tuple[int, int]]) -> None:
     """By stamp, then by source; entries that exist are found."""
     window = make_window(64, 1)
-    kept: list[tuple[int, int]] = []
+    expected: list[tuple[int, int]] = []
     for stamp, source in given_:
         arrival = window.measurements[-1:]
         arrival["stamp_ns"], arrival["source"], arrival["kind"] = stamp, source, YAW_RATE
         k = insertion_index(window.measurements, window.count, arrival[0])
-        known = is_duplicate(window.measurements, window.count, k, arrival[0])
-        assert known == ((stamp, source) in kept)
-        if not known:
+        is_known = is_duplicate(window.measurements, window.count, k, arrival[0])
+        assert is_known == ((stamp, source) in expected)
+        if not is_known:
             insert(window, k)
-            kept = sorted([*kept, (stamp, source)])
-            assert kept[k] == (stamp, source)
+            expected = sorted([*expected, (stamp, source)])
+            assert expected[k] == (stamp, source)
         entries = window.measurements[: window.count]
-        assert list(zip(entries["stamp_ns"].tolist(), entries["source"].tolist(), strict=True)) == kept
+        assert list(zip(entries["stamp_ns"].tolist(), entries["source"].tolist(), strict=True)) == expected
 
 
 class Track:

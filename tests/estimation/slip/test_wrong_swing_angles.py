@@ -20,9 +20,9 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 
 S = 1_000_000_000
 BEGIN, END = 60.0, 85.0
-Shown = Callable[[float, float, float], float]  # of t, s, the true angle and that at BEGIN, rad
+EncoderFault = Callable[[float, float, float], float]  # of t, s, the true angle and that at BEGIN, rad
 
-FAULTS: Mapping[str, Shown] = {
+FAULTS: Mapping[str, EncoderFault] = {
     "frozen for 25 s": lambda t, angle, at_begin: at_begin if BEGIN <= t < END else angle,
     "slipped on its ring by 10°": lambda t, angle, _: angle + (0.175 if t >= BEGIN else 0.0),
     "slipped on its ring by 90°": lambda t, angle, _: angle + (1.571 if t >= BEGIN else 0.0),
@@ -36,15 +36,15 @@ def of_receiver() -> SlipEstimatorParameters:
     return load_slip_parameters({"vehicle": "pc05_cab"}, GNSS)
 
 
-def spoilt(recording: Recording, shown: Shown) -> list[Measurement]:
-    """The measurements with encoder angles from the function ``shown``."""
+def spoilt(recording: Recording, fault: EncoderFault) -> list[Measurement]:
+    """The measurements with encoder angles from the function ``fault``."""
     measurements, at_begin = list(recording.measurements), math.nan
     for k, m in enumerate(measurements):
         if isinstance(m, SwingAngle):
             t = m.stamp_ns / S - 1.0
             if math.isnan(at_begin) and t >= BEGIN:
                 at_begin = m.angle
-            measurements[k] = replace(m, angle=math.remainder(shown(t, m.angle, at_begin), math.tau))
+            measurements[k] = replace(m, angle=math.remainder(fault(t, m.angle, at_begin), math.tau))
     return measurements
 
 

@@ -19,11 +19,11 @@ class RateCovariance(NamedTuple):
 
 
 @compiled
-def propagate_rate_covariance(known: RateCovariance, dt: float, walk: float) -> RateCovariance:
+def propagate_rate_covariance(before: RateCovariance, dt: float, walk: float) -> RateCovariance:
     """Covariance ``dt`` s later, where the rate walks by ``walk`` per √s."""
-    more = walk * walk * dt
+    added = walk * walk * dt
     return RateCovariance(
-        known.variance + (2.0 * known.covariance + (known.rate_variance + more / 3.0) * dt) * dt,
-        known.covariance + (known.rate_variance + more / 2.0) * dt,
-        known.rate_variance + more,
+        before.variance + (2.0 * before.covariance + (before.rate_variance + added / 3.0) * dt) * dt,
+        before.covariance + (before.rate_variance + added / 2.0) * dt,
+        before.rate_variance + added,
     )

@@ -121,25 +121,25 @@ def solve_in_place(L: FloatArray, B: FloatArray) -> None:
 @compiled
 def weighted_square(L: FloatArray, v: FloatArray) -> float:
     """vᵀ (L Lᵀ)⁻¹ v."""
-    total, weighed = 0.0, v.copy().reshape((v.size, 1))
-    solve_in_place(L, weighed)
+    total, solved = 0.0, v.copy().reshape((v.size, 1))
+    solve_in_place(L, solved)
     for i in range(v.size):
-        total += v[i] * weighed[i, 0]
+        total += v[i] * solved[i, 0]
     return total
 
 
 @compiled
 def joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> FloatArray:
     """(I − K H) P (I − K H)ᵀ + K R Kᵀ."""
-    keep = multiply(K, H)
-    for i in range(keep.shape[0]):
-        for j in range(keep.shape[1]):
-            keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
-    kept, learned = sandwich(keep, P), sandwich(K, R)
-    for i in range(kept.shape[0]):
-        for j in range(kept.shape[1]):
-            kept[i, j] += learned[i, j]
-    return kept
+    A = multiply(K, H)
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = (1.0 if i == j else 0.0) - A[i, j]  # I − K H
+    covariance, noise = sandwich(A, P), sandwich(K, R)
+    for i in range(covariance.shape[0]):
+        for j in range(covariance.shape[1]):
+            covariance[i, j] += noise[i, j]
+    return covariance
 
 
 @compiled

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Operations on one state of a Gaussian: replace, decay, add, exchange its prior; compiled, in place.
+"""Operations on one state of a Gaussian: replace, decay, add, change its prior; compiled, in place.
 
-The decay is that of a first-order Gauss–Markov process. A Bayes factor compares two variances of a state.
+The decay is that of a first-order Gauss–Markov process.
 
 x, P   mean and covariance of the state    (n,), (m, m), m ≥ n
 """
@@ -23,23 +23,23 @@ def replace_state(x: FloatArray, P: FloatArray, k: int, mean: float, variance: f
 
 
 @compiled
-def decay_state(x: FloatArray, P: FloatArray, k: int, left: float, variance: float) -> None:
-    """Decay state k to its share ``left``; ``variance`` is that of the Gauss–Markov process."""
-    x[k] *= left
+def decay_state(x: FloatArray, P: FloatArray, k: int, share: float, variance: float) -> None:
+    """Decay state k to a ``share`` of itself; ``variance`` is that of the Gauss–Markov process."""
+    x[k] *= share
     for j in range(P.shape[0]):
-        P[k, j] *= left
+        P[k, j] *= share
     for j in range(P.shape[0]):
-        P[j, k] *= left
-    P[k, k] += (1.0 - left * left) * variance
+        P[j, k] *= share
+    P[k, k] += (1.0 - share * share) * variance
 
 
 @compiled
-def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
-    """P after another state ``what``, times a factor, is added to state ``to``."""
+def add_state(P: FloatArray, to: int, added: int, factor: float) -> None:
+    """Transform P for a state ``to`` that gains ``factor`` times state ``added``; in place."""
     for j in range(P.shape[1]):
-        P[to, j] += factor * P[what, j]
+        P[to, j] += factor * P[added, j]
     for i in range(P.shape[0]):
-        P[i, to] += factor * P[i, what]
+        P[i, to] += factor * P[i, added]
 
 
 @compiled
@@ -48,17 +48,17 @@ def replace_prior_variance(x: FloatArray, P: FloatArray, k: int, before: float, 
 
     This is a measurement of zero with the variance 1/(1/now − 1/before), negative where the prior widens.
     """
-    more = 1.0 / now - 1.0 / before
-    if abs(more) * before < 1e-6:
+    information = 1.0 / now - 1.0 / before
+    if abs(information) * before < 1e-6:
         return
-    S = P[k, k] + 1.0 / more
-    if more < 0.0 and 1e-3 * before > -S:  # the prior has no information left to remove
+    S = P[k, k] + 1.0 / information
+    if information < 0.0 and 1e-3 * before > -S:  # the prior has no information left to remove
         return
-    shared, mean = P[k, :].copy(), x[k]
+    row, mean = P[k, :].copy(), x[k]
     for i in range(x.size):
-        x[i] -= shared[i] / S * mean
+        x[i] -= row[i] / S * mean
         for j in range(x.size):
-            P[i, j] -= shared[i] * shared[j] / S
+            P[i, j] -= row[i] * row[j] / S
 
 
 @compiled

@@ -37,10 +37,10 @@ def smooth_step(
     filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, F: FloatArray, angle: int
 ) -> Gaussian:
     """x̂_{k−1} and P̂_{k−1} from (x_{k−1}, P_{k−1}), (x⁻_k, P⁻_k), (x̂_k, P̂_k); ``angle`` as in ``daf``."""
-    (x, P), (x_before, P_before), (x_after, P_after) = filtered, predicted, smoothed
-    G = np.ascontiguousarray(solve(root(P_before), multiply(F, P)).T)
-    news = x_after - x_before
-    news[angle] = wrap(news[angle])
-    x = x + multiply_vector(G, news)
+    (x, P), (x_predicted, P_predicted), (x_smoothed, P_smoothed) = filtered, predicted, smoothed
+    G = np.ascontiguousarray(solve(root(P_predicted), multiply(F, P)).T)
+    correction = x_smoothed - x_predicted
+    correction[angle] = wrap(correction[angle])
+    x = x + multiply_vector(G, correction)
     x[angle] = wrap(x[angle])
-    return x, joseph(P, G, F, P_after + (P_before - sandwich(F, P)))
+    return x, joseph(P, G, F, P_smoothed + (P_predicted - sandwich(F, P)))

@@ -37,7 +37,7 @@ class Observation(NamedTuple):
     noise: FloatArray  # (m, m) R
     considered: int  # bits of considered states
     known: int  # bits of known states
-    shared: FloatArray  # (m, n) C, or (0, n) if noise and state are uncorrelated
+    cross_covariance: FloatArray  # (m, n) C, or (0, n) if noise and state are uncorrelated
 
 
 @compiled
@@ -71,13 +71,13 @@ def inflate_noise_to_gate(R: FloatArray, innovation: FloatArray, predicted: Floa
 @compiled
 def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
     """Update x and P with an observation; states beyond H stay as they are."""
-    m, n, shares = o.innovation.size, o.jacobian.shape[1], o.shared.shape[0] > 0
-    if not shares:
+    m, n, is_correlated = o.innovation.size, o.jacobian.shape[1], o.cross_covariance.shape[0] > 0
+    if not is_correlated:
         n = used_size(P, n)
     B = _times_covariance(P, o.jacobian, n)
     K = B.copy()
-    if shares:
-        K += o.shared
+    if is_correlated:
+        K += o.cross_covariance
     _compute_gain(P, K, o)
     for i in range(m):
         for k in range(n):
@@ -91,7 +91,7 @@ def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
 @inlined
 def _compute_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """K (m, n), which is H P + C, becomes the gain, transposed."""
-    H, shares, S = o.jacobian, o.shared.shape[0] > 0, o.noise.copy()
+    H, is_correlated, S = o.jacobian, o.cross_covariance.shape[0] > 0, o.noise.copy()
     _condition_on_known_states(P, K, o.known)
     for i in range(S.shape[0]):
         for k in range(K.shape[1]):
@@ -99,8 +99,8 @@ def _compute_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
             if h != 0.0:
                 for j in range(S.shape[0]):
                     S[i, j] += h * K[j, k]
-                    if shares:
-                        S[j, i] += h * o.shared[j, k]
+                    if is_correlated:
+                        S[j, i] += h * o.cross_covariance[j, k]
     solve_in_place(root(S), K)
     unchanged = o.considered | o.known
     for k in range(K.shape[1]):
@@ -112,10 +112,10 @@ def _compute_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
 @inlined
 def _condition_on_known_states(P: FloatArray, B: FloatArray, known: int) -> None:
     """B (m, n), which is H P, becomes H P given that some states are known."""
-    n, used, most = B.shape[1], 0, 0
+    n, used, count = B.shape[1], 0, 0
     for a in range(n):
-        most += known >> a & 1
-    rows, pivots = np.empty((most, n)), np.empty(most, np.int64)
+        count += known >> a & 1
+    rows, pivots = np.empty((count, n)), np.empty(count, np.int64)
     for a in range(n):
         if known >> a & 1 == 0:
             continue
@@ -141,15 +141,19 @@ def _condition_on_known_states(P: FloatArray, B: FloatArray, known: int) -> None
 def _complete_covariance(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """P, which is ((I − K H) P)ᵀ, becomes the covariance after the update."""
     m, n = K.shape
-    rest, D, shares = _times_covariance(P, o.jacobian, n), o.shared, o.shared.shape[0] > 0
-    if shares:
+    rest, D, is_correlated = (
+        _times_covariance(P, o.jacobian, n),
+        o.cross_covariance,
+        o.cross_covariance.shape[0] > 0,
+    )
+    if is_correlated:
         D = _remaining_cross_covariance(K, o)
     for i in range(m):
         for k in range(n):
             total = -rest[i, k]
             for j in range(m):
                 total += K[j, k] * o.noise[j, i]
-            rest[i, k] = total - 2.0 * D[i, k] if shares else total
+            rest[i, k] = total - 2.0 * D[i, k] if is_correlated else total
     for k in range(n):
         for j in range(k + 1):
             both = P[k, j] + P[j, k]
@@ -161,15 +165,15 @@ def _complete_covariance(P: FloatArray, K: FloatArray, o: Observation) -> None:
 @compiled
 def _remaining_cross_covariance(K: FloatArray, o: Observation) -> FloatArray:
     """(m, n) the rest of C after (I − K H)."""
-    kept, H = o.shared.copy(), o.jacobian
+    rest, H = o.cross_covariance.copy(), o.jacobian
     for i in range(K.shape[0]):
         for j in range(K.shape[0]):
-            seen = 0.0  # entry of H Cᵀ
+            HC = 0.0  # entry of H Cᵀ
             for k in range(H.shape[1]):
-                seen += H[j, k] * o.shared[i, k]
+                HC += H[j, k] * o.cross_covariance[i, k]
             for k in range(K.shape[1]):
-                kept[i, k] -= K[j, k] * seen
-    return kept
+                rest[i, k] -= K[j, k] * HC
+    return rest
 
 
 @compiled

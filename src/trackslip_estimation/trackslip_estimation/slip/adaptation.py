@@ -46,11 +46,11 @@ _RATE_RATIO = 4.0  # from one a to the next
 _FIX_STEP = 0.35  # of ln f; twice as large above the ``_USUAL`` masses
 _FIX_BELOW, _USUAL = 2, 9  # numbers of masses with f below 1, and with f up to about 8
 _CORRELATION_MEMORY = 0.95  # 20 fixes
-_WHITE = 0.4  # correlation of consecutive innovations, below which f may have any value
+_WHITE_CORRELATION = 0.4  # correlation of consecutive innovations, below which f may have any value
 _FIX_PRIOR = 0.5  # standard deviation of ln f
-_HEAVY = 8.0  # degrees of freedom of Student's t
-_OF_GAUSSIAN = (1.232, 1.210, 1.192)  # factors of d² for m = 1, 2, 3 by which Gaussian fixes give f = 1
-_OUTLIER = 25.0  # NIS under the largest s and a, at which larger innovations are clipped
+_STUDENT_DOF = 8.0  # degrees of freedom of Student's t
+_STUDENT_SCALE = (1.232, 1.210, 1.192)  # factors of d² for m = 1, 2, 3 by which Gaussian fixes give f = 1
+_LARGEST_NIS = 25.0  # NIS under the largest s and a, at which larger innovations are clipped
 _SHORTEST = 1e-3  # shortest time between fixes of a source, s
 _NEGLIGIBLE = -20.0  # w relative to the largest, at which a mass is ignored
 
@@ -156,16 +156,18 @@ def add_track_error_noise(state: State, dt: float, c: Config) -> None:
     """Add to P the track errors that it does not contain yet; the tracks' speeds last for ``dt`` s."""
     a, P = state.adaptation, state.covariance
     U = track_exposure(state, c)
-    jumped = max(abs(state.speeds.left - a.left_speed), abs(state.speeds.right - a.right_speed))
-    jumped *= c.rolling_radius if departure(state, c) > 0.0 else 0.0  # first speeds: no change
+    speed_change = max(abs(state.speeds.left - a.left_speed), abs(state.speeds.right - a.right_speed))
+    speed_change *= c.rolling_radius if departure(state, c) > 0.0 else 0.0  # first speeds: no change
     a.left_speed, a.right_speed = state.speeds.left, state.speeds.right
-    lacking = max(U - a.envelope, c.adaptation.changing_weight * jumped * jumped)
-    P[SPEED_ERROR, SPEED_ERROR] += c.adaptation.forward**2 * a.track_variance * lacking / 4.0
-    P[YAW_RATE_ERROR, YAW_RATE_ERROR] += a.track_variance * lacking / (c.tread * c.tread)
-    kept = math.exp(-2.0 * dt / c.velocity_errors.time)
-    a.envelope = kept * (a.envelope + lacking) + (1.0 - kept) * U
-    a.exposure = kept * (a.exposure + lacking / (c.tread * c.tread)) + (1.0 - kept) * U / (c.tread * c.tread)
-    a.speed_exposure = kept * (a.speed_exposure + lacking) + (1.0 - kept) * U
+    missing = max(U - a.envelope, c.adaptation.changing_weight * speed_change * speed_change)
+    P[SPEED_ERROR, SPEED_ERROR] += c.adaptation.forward**2 * a.track_variance * missing / 4.0
+    P[YAW_RATE_ERROR, YAW_RATE_ERROR] += a.track_variance * missing / (c.tread * c.tread)
+    decay = math.exp(-2.0 * dt / c.velocity_errors.time)
+    a.envelope = decay * (a.envelope + missing) + (1.0 - decay) * U
+    a.exposure = decay * (a.exposure + missing / (c.tread * c.tread)) + (1.0 - decay) * U / (
+        c.tread * c.tread
+    )
+    a.speed_exposure = decay * (a.speed_exposure + missing) + (1.0 - decay) * U
     a.elapsed += dt
     a.speed_elapsed += dt
 
@@ -178,25 +180,25 @@ def clear_track_error(a: Adaptation) -> None:
 
 @compiled
 def learn_from_rate(
-    a: Adaptation, innovation: float, S: float, of_tracks: float, stated: float, is_standing: bool, c: Config
+    a: Adaptation, innovation: float, S: float, by_tracks: float, stated: float, is_standing: bool, c: Config
 ) -> float:
     """Update the weights of s and a with a yaw rate; return its NIS under the largest s and a.
 
-    ``of_tracks``: part of S due to the tracks for s = 1, T; ``stated``: variance stated by the gyro, R.
+    ``by_tracks``: part of S due to the tracks for s = 1, T; ``stated``: variance stated by the gyro, R.
     """
     n = c.adaptation
-    rest = max(S - a.track_variance * of_tracks - a.rate_factor * stated, 0.0)
-    largest = rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]
+    rest = max(S - a.track_variance * by_tracks - a.rate_factor * stated, 0.0)
+    largest = rest + by_tracks * n.track_variances[TRACK_ERRORS - 1]
     largest += stated * n.rate_factors[RATE_FACTORS - 1]
-    squared = min(innovation * innovation, _OUTLIER * largest)
+    squared = min(innovation * innovation, _LARGEST_NIS * largest)
     weight = min(a.elapsed / c.velocity_errors.time, 1.0)
-    kept = 1.0 if is_standing else math.exp(-a.elapsed / n.memory)
+    decay = 1.0 if is_standing else math.exp(-a.elapsed / n.memory)
     a.exposure = a.elapsed = 0.0
     best = -math.inf
     for i in range(TRACK_ERRORS):
         for j in range(RATE_FACTORS):
-            variance = rest + of_tracks * n.track_variances[i] + stated * n.rate_factors[j]
-            w = kept * a.log_weights[i, j] + (1.0 - kept) * n.rate_prior[j]
+            variance = rest + by_tracks * n.track_variances[i] + stated * n.rate_factors[j]
+            w = decay * a.log_weights[i, j] + (1.0 - decay) * n.rate_prior[j]
             a.log_weights[i, j] = w - weight * (math.log(variance) + squared / variance) / 2.0
             best = max(best, a.log_weights[i, j])
     _set_means(a, best, n)
@@ -206,21 +208,21 @@ def learn_from_rate(
 
 @compiled
 def learn_from_speed(
-    a: Adaptation, innovation: float, S: float, of_tracks: float, is_standing: bool, c: Config
+    a: Adaptation, innovation: float, S: float, by_tracks: float, is_standing: bool, c: Config
 ) -> None:
-    """Update the weights of s with a speed; ``of_tracks``: part of S due to the tracks for s = 1."""
+    """Update the weights of s with a speed; ``by_tracks``: part of S due to the tracks for s = 1."""
     n = c.adaptation
-    rest = max(S - a.track_variance * of_tracks, 0.0)
-    squared = min(innovation**2, _OUTLIER * (rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]))
+    rest = max(S - a.track_variance * by_tracks, 0.0)
+    squared = min(innovation**2, _LARGEST_NIS * (rest + by_tracks * n.track_variances[TRACK_ERRORS - 1]))
     weight = min(a.speed_elapsed / c.velocity_errors.time, 1.0)
-    kept = 1.0 if is_standing else math.exp(-a.speed_elapsed / n.memory)
+    decay = 1.0 if is_standing else math.exp(-a.speed_elapsed / n.memory)
     a.speed_exposure = a.speed_elapsed = 0.0
     best = -math.inf
     for i in range(TRACK_ERRORS):
-        variance = rest + of_tracks * n.track_variances[i]
+        variance = rest + by_tracks * n.track_variances[i]
         likelihood = -weight * (math.log(variance) + squared / variance) / 2.0
         for j in range(RATE_FACTORS):
-            a.log_weights[i, j] = kept * a.log_weights[i, j] + (1.0 - kept) * n.rate_prior[j] + likelihood
+            a.log_weights[i, j] = decay * a.log_weights[i, j] + (1.0 - decay) * n.rate_prior[j] + likelihood
             best = max(best, a.log_weights[i, j])
     _set_means(a, best, n)
 
@@ -265,14 +267,14 @@ def largest_correlated_inflation(P: FloatArray, R: FloatArray) -> float:
 @compiled
 def _correlation_with_last(a: Adaptation, source: int, innovation: FloatArray) -> float:
     """Update and return the correlation of a source's consecutive innovations: 0 if white, 1 at the start."""
-    last, both, squares = a.fix_innovations[source], 0.0, 0.0
+    last, product, squares = a.fix_innovations[source], 0.0, 0.0
     for i in range(min(innovation.size, last.size)):
-        both += last[i] * innovation[i]
+        product += last[i] * innovation[i]
         squares += (last[i] * last[i] + innovation[i] * innovation[i]) / 2.0
         last[i] = innovation[i]
     if squares > 0.0:
-        kept = _CORRELATION_MEMORY * a.fix_correlation[source]
-        a.fix_correlation[source] = kept + (1.0 - _CORRELATION_MEMORY) * both / squares
+        decayed = _CORRELATION_MEMORY * a.fix_correlation[source]
+        a.fix_correlation[source] = decayed + (1.0 - _CORRELATION_MEMORY) * product / squares
     correlation: float = a.fix_correlation[source]
     return correlation
 
@@ -283,8 +285,8 @@ def learn_from_fix(
 ) -> None:
     """Update the weights of f of a source with an innovation (m,); P (m, m) predicted, R (m, m) stated."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
-    scale = _OF_GAUSSIAN[m - 1] / _HEAVY
-    is_white = _correlation_with_last(a, source, innovation) < _WHITE
+    scale = _STUDENT_SCALE[m - 1] / _STUDENT_DOF
+    is_white = _correlation_with_last(a, source, innovation) < _WHITE_CORRELATION
     if not np.any(w):  # first fix: uniform up to ``_USUAL``, improbable beyond
         w[_USUAL:] = n.fix_prior[_USUAL:]
     best, likelihood = -math.inf, 0.0
@@ -292,7 +294,7 @@ def learn_from_fix(
         if j < _USUAL or is_white:
             L = root(P + n.fix_factors[j] * R)
             nis = weighted_square(L, innovation)
-            likelihood = -(log_determinant(L) + (_HEAVY + m) * math.log(1.0 + scale * nis)) / 2.0
+            likelihood = -(log_determinant(L) + (_STUDENT_DOF + m) * math.log(1.0 + scale * nis)) / 2.0
         w[j] = n.fix_memory * w[j] + (1.0 - n.fix_memory) * n.fix_prior[j] + likelihood
         best = max(best, w[j])
     total = factor = 0.0
@@ -308,10 +310,10 @@ def learn_from_fix(
 def log_density(L: FloatArray, innovation: FloatArray) -> float:
     """ln of the density of an innovation (m,) under Student's t; L (m, m): root of its covariance."""
     m = innovation.size
-    count = _OF_GAUSSIAN[m - 1]
-    squared = weighted_square(L, innovation)
-    heavy = (_HEAVY + m) * math.log(1.0 + count / _HEAVY * squared)
-    return -(log_determinant(L) + heavy) / 2.0 - m * math.log(2.0 * math.pi / count) / 2.0
+    scale = _STUDENT_SCALE[m - 1]
+    nis = weighted_square(L, innovation)
+    log_tail = (_STUDENT_DOF + m) * math.log(1.0 + scale / _STUDENT_DOF * nis)
+    return -(log_determinant(L) + log_tail) / 2.0 - m * math.log(2.0 * math.pi / scale) / 2.0
 
 
 @compiled
@@ -320,17 +322,25 @@ def log_density_over_factors(
 ) -> float:
     """ln of the density of an innovation (m,), averaged over f; P (m, m) predicted, R (m, m) stated."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
-    count = _OF_GAUSSIAN[m - 1]
-    is_known, best, highest = np.any(w), -math.inf, -math.inf
-    found, prior = np.zeros(FIX_FACTORS), np.zeros(FIX_FACTORS)
+    scale = _STUDENT_SCALE[m - 1]
+    is_known, highest_posterior, highest_prior = np.any(w), -math.inf, -math.inf
+    log_posterior, log_prior = np.zeros(FIX_FACTORS), np.zeros(FIX_FACTORS)
     for j in range(FIX_FACTORS):
-        prior[j] = w[j] if is_known else n.fix_prior[j]
+        log_prior[j] = w[j] if is_known else n.fix_prior[j]
         L = root(P + n.fix_factors[j] * R)
         nis = weighted_square(L, innovation)
-        found[j] = prior[j] - (log_determinant(L) + (_HEAVY + m) * math.log(1.0 + count / _HEAVY * nis)) / 2.0
-        best, highest = max(best, found[j]), max(highest, prior[j])
+        log_posterior[j] = (
+            log_prior[j]
+            - (log_determinant(L) + (_STUDENT_DOF + m) * math.log(1.0 + scale / _STUDENT_DOF * nis)) / 2.0
+        )
+        highest_posterior, highest_prior = (
+            max(highest_posterior, log_posterior[j]),
+            max(highest_prior, log_prior[j]),
+        )
     total = mass = 0.0
     for j in range(FIX_FACTORS):
-        total += math.exp(found[j] - best)
-        mass += math.exp(prior[j] - highest)
-    return best - highest + math.log(total / mass) - m * math.log(2.0 * math.pi / count) / 2.0
+        total += math.exp(log_posterior[j] - highest_posterior)
+        mass += math.exp(log_prior[j] - highest_prior)
+    return (
+        highest_posterior - highest_prior + math.log(total / mass) - m * math.log(2.0 * math.pi / scale) / 2.0
+    )

@@ -51,7 +51,7 @@ def unknown_motion(vehicle: Kinematics, max_sprocket_speed: float) -> UnknownMot
 
 @compiled
 def reset_velocity_errors(state: State, rate: tuple[float, float], c: Config) -> None:
-    """Reset the velocity errors at the begin of silence; ``rate``: yaw rate and its variance."""
+    """Reset the velocity errors at the start of silence; ``rate``: yaw rate and its variance."""
     if has_velocity_errors(c):
         replace_state(state.mean, state.covariance, SPEED_ERROR, 0.0, c.unknown_speed**2)
         replace_state(state.mean, state.covariance, YAW_RATE_ERROR, rate[0], rate[1])
@@ -65,7 +65,7 @@ def add_unknown_motion_noise(state: State, dt: float, c: Config) -> None:
         share = min(SIDEWAYS**2 + P[YAW, YAW], 1.0)
     P[X, X] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
     P[Y, Y] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
-    P[YAW, YAW] += 2.0 * SPEED_TIME * dt * c.unseen_yaw_rate**2
+    P[YAW, YAW] += 2.0 * SPEED_TIME * dt * c.unmodelled_yaw_rate**2
 
 
 @compiled

@@ -46,7 +46,7 @@ class Config(Record):
     size: int  # number of states in use
     swings: bool  # whether a sensor is on the upper structure
     swing_axis: Annotated[FloatArray, 2]  # in base_link, m
-    swing_place: int  # first pose source on the upper structure; −1: none
+    swing_pose_source: int  # first pose source on the upper structure; −1: none
     sigma_points: bool  # DAF, else EKF
     kappa: float  # of the DAF
     rolling_radius: float  # r, m
@@ -71,7 +71,7 @@ class Config(Record):
     max_sprocket_speed: float  # rad/s
     unknown_speed: float  # standard deviation of an unknown speed, m/s
     unknown_yaw_rate: float  # rad/s
-    unseen_yaw_rate: float  # standard deviation of an unknown yaw rate that is no state, rad/s
+    unmodelled_yaw_rate: float  # standard deviation of an unknown yaw rate that is no state, rad/s
     max_gap: float  # s
     shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, ``TRACKS``, and ``GYROS`` if any
     window_ns: int
@@ -138,7 +138,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["sprocket_timeout_ns"], c["max_sprocket_speed"] = round(p.sprocket_timeout * 1e9), p.max_sprocket_speed
     unknown = unknown_motion(p.vehicle.kinematics, p.max_sprocket_speed)
     c["unknown_speed"], c["unknown_yaw_rate"] = unknown.speed, unknown.yaw_rate
-    c["unseen_yaw_rate"] = unknown.yaw_rate if p.model == "free_slips" else 0.0
+    c["unmodelled_yaw_rate"] = unknown.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
     for name in ("events", "bank", "receivers", "ground"):
         fill_record(c[name], getattr(p, name))
@@ -160,12 +160,12 @@ def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
     c["model"], c["active"] = model.CODE, SENSOR_ERRORS if p.swings else model.ACTIVE
     c["swings"], c["size"] = p.swings, SENSOR_ERRORS if p.swings else UNDERCARRIAGE_SIZE
     for name, dtype in CONSTANTS:
-        of_model = {}
+        values = {}
         if name in MODELS:
-            of_model = MODELS[name].constants(p.noise_of(name))
+            values = MODELS[name].constants(p.noise_of(name))
         elif hasattr(model, "velocity_error_constants"):
-            of_model = model.velocity_error_constants(noise)
-        c[name] = tuple(of_model.get(field, 0.0) for field in dtype.names or ())
+            values = model.velocity_error_constants(noise)
+        c[name] = tuple(values.get(field, 0.0) for field in dtype.names or ())
     c["swing"], c["swing_axis"] = swing_constants(p.swing, p.vehicle), p.vehicle.swing_axis
     prior = model.prior(noise, p.vehicle.kinematics.tread)
     c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
@@ -201,9 +201,9 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
         c["stamp_errors"][k] = compass.stamp_error
-    for name, angle in p.swing_encoders().items():
+    for name, encoder in p.swing_encoders().items():
         k = numbers[name]
-        c["heading_offset"][k], c["of_swing"][k] = angle.offset, 1
+        c["heading_offset"][k], c["of_swing"][k] = encoder.offset, 1
     for name, velocity in p.velocities().items():
         k = numbers[name]
         c["levers"][k], c["velocity_floor"][k] = velocity.lever, velocity.velocity_floor
@@ -213,7 +213,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
     for name, pose in p.poses().items():
         if pose.above:
             c["repeat_times"][numbers[name]] = p.swing.repeat_time
-    c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
+    c["swing_pose_source"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     c["shows_motion"][[TRACKS, *(numbers[name] for name in p.odometries())]] = 1
     c["shows_motion"][GYROS] = 1 if p.gyros() else 0
     for name, gyro in p.gyros().items():
@@ -230,7 +230,7 @@ def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]
     """Set the rates of events by source; a source without own rates uses 1/s for its faults and jumps."""
     by_name = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
     by_name |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
-    by_name |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.swing_encoders().items()}
+    by_name |= {name: (encoder.fault_rate, encoder.jump_rate) for name, encoder in p.swing_encoders().items()}
     by_name |= {name: (velocity.fault_rate, 1.0) for name, velocity in p.velocities().items()}
     by_number = {numbers[name]: rates for name, rates in by_name.items()}
     c["log_rates"] = -np.inf
@@ -254,24 +254,24 @@ def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[s
     """Add states: offsets, biases of further gyros, scales of odometries, time-correlated tilt errors."""
     c["source_states"] = c["yaw_offsets"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
-    errors = dict.fromkeys(list(p.gyros())[1:], bias)
-    errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
-    place, c["lean_errors"], c["offsets"], c["poses"] = SENSOR_ERRORS, -1, -1, len(p.poses())
+    scalar_errors = dict.fromkeys(list(p.gyros())[1:], bias)
+    scalar_errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
+    index, c["lean_errors"], c["offsets"], c["poses"] = SENSOR_ERRORS, -1, -1, len(p.poses())
     for name in (*p.poses(), *p.velocities()):
-        c["offsets"][numbers[name]] = place
-        place += 2
-    turned = {name: (stddev**2, stddev**2 / YAW_TIME) for name, stddev in p.yaw_offsets().items()}
-    for places, found in (("yaw_offsets", turned), ("source_states", errors)):
-        for name, (variance, walk) in found.items():
-            c[places][numbers[name]] = place
-            c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
-            c["process_noise"][..., place] = walk
-            place += 1
+        c["offsets"][numbers[name]] = index
+        index += 2
+    yaw_offsets = {name: (stddev**2, stddev**2 / YAW_TIME) for name, stddev in p.yaw_offsets().items()}
+    for field, states in (("yaw_offsets", yaw_offsets), ("source_states", scalar_errors)):
+        for name, (variance, walk) in states.items():
+            c[field][numbers[name]] = index
+            c["prior_variance"][index] = c["prior_covariance"][index, index] = variance
+            c["process_noise"][..., index] = walk
+            index += 1
     if p.has_tilt_states:
-        c["lean_errors"], c["lean_stddev"] = place, p.attitude.accelerometer_bias_stddev / GRAVITY
-        for axis in (place, place + 1):
+        c["lean_errors"], c["lean_stddev"] = index, p.attitude.accelerometer_bias_stddev / GRAVITY
+        for axis in (index, index + 1):
             c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = 1.0
             c["error_times"][axis] = LEAN_TIME
-        place += 2
-    if place > SENSOR_ERRORS:
-        c["active"] = c["size"] = place
+        index += 2
+    if index > SENSOR_ERRORS:
+        c["active"] = c["size"] = index

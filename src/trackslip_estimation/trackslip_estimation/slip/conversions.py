@@ -87,23 +87,23 @@ def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Rejecti
     m = read(ImuFields, message)
     if m.variance_x == ABSENT:
         return Rejection.NO_RATE
-    R, unknown = imu.mounting, imu.stddev**2
+    R, default = imu.mounting, imu.stddev**2
     stated = (m.variance_x, m.variance_y, m.variance_z)
     p, q, r = rotate(R, (m.rate_x, m.rate_y, m.rate_z))
-    of_p, of_q, of_r = rotate_variances(R, [v if v != 0.0 else unknown for v in stated])
+    of_p, of_q, of_r = rotate_variances(R, [v if v != 0.0 else default for v in stated])
     a, of_a = (math.nan,) * 3, math.nan
     if m.acceleration_variance_x != ABSENT:
         x, y, z = rotate(R, (m.acceleration_x, m.acceleration_y, m.acceleration_z))
         a = (x, y, z)
         mean = (m.acceleration_variance_x + m.acceleration_variance_y + m.acceleration_variance_z) / 3.0
         of_a = mean if mean != 0.0 else imu.acceleration_stddev**2
-    found = YawRate(source, m.stamp_ns, r, of_r, (p, q), (of_p, of_q), a, of_a)
+    measurement = YawRate(source, m.stamp_ns, r, of_r, (p, q), (of_p, of_q), a, of_a)
     if not imu.use_orientation:
-        return found
+        return measurement
     up_x, up_y, up_z = rotate(R, vertical_axis(m.qx, m.qy, m.qz, m.qw))
     of_up = [m.orientation_variance_x, m.orientation_variance_y, m.orientation_variance_z]
     of_x, of_y, _ = rotate_variances(R, of_up) if m.orientation_variance_x != ABSENT else (ABSENT,) * 3
-    return replace(found, up=(up_x, up_y, up_z), up_variances=(of_x, of_y))
+    return replace(measurement, up=(up_x, up_y, up_z), up_variances=(of_x, of_y))
 
 
 def pose_fix(message: Any, source: str) -> PoseFix:
@@ -114,7 +114,7 @@ def pose_fix(message: Any, source: str) -> PoseFix:
 
 
 def slip_fix(message: Any, source: str) -> SlipFix:
-    """From trackslip_msgs/TrackSlip, but for the slip angle."""
+    """From trackslip_msgs/TrackSlip, except the slip angle."""
     m = read(SlipFields, message)
     return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
 
@@ -140,7 +140,7 @@ def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
     return SwingAngle(source, m.stamp_ns, m.angle, variance)
 
 
-def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityFix | Rejection:
+def velocity_fix(message: Any, source: str, velocity_source: VelocitySource) -> VelocityFix | Rejection:
     """From geometry_msgs/TwistWithCovarianceStamped, at the instant of its velocity.
 
     A variance of zero means unknown, a first element of −1 absent.
@@ -151,8 +151,8 @@ def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityF
     covariance = m.covariance.copy()
     for i in range(2):
         if covariance[i, i] == 0.0:
-            covariance[i, i] = stated.stddev**2
-    return VelocityFix(source, m.stamp_ns - stated.latency_ns, np.array((m.v_x, m.v_y)), covariance)
+            covariance[i, i] = velocity_source.stddev**2
+    return VelocityFix(source, m.stamp_ns - velocity_source.latency_ns, np.array((m.v_x, m.v_y)), covariance)
 
 
 def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Rejection:
@@ -165,8 +165,8 @@ def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> Odome
         return rejection
     frame = frame_number(read(FrameFields, message).frame)
     variances = getattr(m, name) if name else np.zeros((2, 3))
-    place, turn = np.array((m.x, m.y, m.z)), np.array((m.qx, m.qy, m.qz, m.qw))
-    return OdometryPose(source, m.stamp_ns, place, turn, frame, variances)
+    position, orientation = np.array((m.x, m.y, m.z)), np.array((m.qx, m.qy, m.qz, m.qw))
+    return OdometryPose(source, m.stamp_ns, position, orientation, frame, variances)
 
 
 def odometry(make: MessageFactory, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
@@ -292,19 +292,21 @@ def blank_machine_state(make: MessageFactory, parent_frame: str, base_frame: str
 def fill_machine_state(message: Any, estimate: Estimate) -> None:
     """Fill the message with an estimate."""
     set_stamp(message, estimate.stamp_ns)
-    of = estimate.outputs
+    outputs = estimate.outputs
     message.x, message.y, message.heading = estimate.pose.tolist()
     message.pose_covariance = estimate.pose_covariance.ravel()
-    message.v_x, message.v_y, message.yaw_rate = of.twist.tolist()
-    message.twist_covariance = of.twist_covariance.ravel()
-    message.left_slip, message.right_slip, message.slip_angle = of.slips.tolist()
-    message.slip_covariance = of.slip_covariance.ravel()
+    message.v_x, message.v_y, message.yaw_rate = outputs.twist.tolist()
+    message.twist_covariance = outputs.twist_covariance.ravel()
+    message.left_slip, message.right_slip, message.slip_angle = outputs.slips.tolist()
+    message.slip_covariance = outputs.slip_covariance.ravel()
     message.motion_state = int(estimate.motion)
-    tilt = (0.0, 0.0, 0.0) if of.tilt is None else of.tilt.tilt.tolist()
+    tilt = (0.0, 0.0, 0.0) if outputs.tilt is None else outputs.tilt.tilt.tolist()
     message.roll, message.pitch, message.height = tilt
-    message.attitude_covariance = _ABSENT_9 if of.tilt is None else of.tilt.covariance.ravel()
-    message.swing, message.swing_rate = (0.0, 0.0) if of.swing is None else (of.swing.angle, of.swing.rate)
-    message.swing_covariance = _ABSENT_4 if of.swing is None else of.swing.covariance.ravel()
+    message.attitude_covariance = _ABSENT_9 if outputs.tilt is None else outputs.tilt.covariance.ravel()
+    message.swing, message.swing_rate = (
+        (0.0, 0.0) if outputs.swing is None else (outputs.swing.angle, outputs.swing.rate)
+    )
+    message.swing_covariance = _ABSENT_4 if outputs.swing is None else outputs.swing.covariance.ravel()
 
 
 def pose_with_covariance(make: MessageFactory, fix: PoseFix, frame: str) -> Any:

@@ -58,10 +58,10 @@ LOG_PRIOR = np.concatenate(
 
 _ANY_WHITE = -1.0 - np.square(np.log(_WHITE_F) / 1.2) / 2.0
 _LEAST_G = 1e-3
-_HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
+_STUDENT_DOF, _STUDENT_SCALE = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
 _UNKNOWN_DISPLACEMENT = 1e4  # initial variance of c, over R
 _NEGLIGIBLE = -6.0  # w relative to the largest, at which a mass is ignored
-_EVEN = 0.5  # probability of white errors from which on errors are treated as white
+_MOSTLY_WHITE = 0.5  # probability of white errors from which on errors are treated as white
 
 
 class FixErrors(Record):
@@ -112,7 +112,7 @@ def quality_of(stddev: float, c: Config) -> int:
 
 
 @compiled
-def same_quality(stddev: float, other: float, c: Config) -> bool:
+def is_same_quality(stddev: float, other: float, c: Config) -> bool:
     """Whether two standard deviations belong to the same solution of a receiver, by their ratio."""
     return max(stddev, other) <= c.receivers.other_quality * min(stddev, other)
 
@@ -157,30 +157,33 @@ def add_fix(
 ) -> None:
     """Update the masses of a source with one more fix; ``position``: measured position (2,), m."""
     quality = quality_of(stddev, c)
-    begins, other = s.known != 1, not same_quality(stddev, s.stddev, c) if s.known > 0 else False
+    is_first, changes_quality = (
+        s.known != 1,
+        not is_same_quality(stddev, s.stddev, c) if s.known > 0 else False,
+    )
     if s.known == 0:
         for q in range(QUALITIES):
             masses.weights[q] = _log_priors(q, c)
-    if begins:
+    if is_first:
         _begin_means(masses, stddev * stddev)
         s.residual[:] = s.recent_displacement[:] = s.elapsed = s.distance = 0.0
     else:
         elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
-        kept = math.exp(-elapsed / c.receivers.longest_time)
+        decay = math.exp(-elapsed / c.receivers.longest_time)
         for axis in range(2):
             s.residual[axis] += position[axis] - s.last_position[axis] - s.displacement[axis]
-            s.recent_displacement[axis] = kept * s.recent_displacement[axis] + s.displacement[axis]
+            s.recent_displacement[axis] = decay * s.recent_displacement[axis] + s.displacement[axis]
         s.elapsed += elapsed
         s.errors[quality].observed += min(elapsed, c.receivers.longest_time)
     s.known, s.stddev, s.last_ns = 1, stddev, stamp_ns
     s.displacement[:] = 0.0
     for axis in range(2):
         s.last_position[axis] = position[axis]
-    if other:
+    if changes_quality:
         _reset_offsets(masses, stddev * stddev)
-    if begins:
+    if is_first:
         _set_means(s.errors[quality], quality, masses.weights[quality], c)
-    elif s.elapsed >= (c.receivers.interval if s.errors[quality].white < _EVEN else 0.0):
+    elif s.elapsed >= (c.receivers.interval if s.errors[quality].white < _MOSTLY_WHITE else 0.0):
         _learn(s, masses, stddev, displacement, c)
         s.elapsed = s.distance = 0.0
 
@@ -210,21 +213,21 @@ def _learn(s: Receiver, masses: Masses, stddev: float, displacement: Displacemen
     _predict(s, masses, R, displacement, c)
     S, nis = np.empty(COUNT), np.empty(COUNT)
     for k in range(COUNT):
-        x, P, squares = masses.means[k], masses.covariances[k], 0.0
+        x, P, squared = masses.means[k], masses.covariances[k], 0.0
         S[k] = max(P[0] + 2.0 * P[1] + P[3], 0.0) + F[k] * R
         for axis in range(2):
-            squares += (s.residual[axis] - x[0, axis] - x[1, axis]) ** 2
-        nis[k] = squares / S[k]
+            squared += (s.residual[axis] - x[0, axis] - x[1, axis]) ** 2
+        nis[k] = squared / S[k]
     if quality == PRECISE and nis[masses.weights[quality].argmax()] > c.receivers.jump:
         _begin_means(masses, R)
         s.residual[:] = 0.0
         return
     w, priors, memory = masses.weights[quality], _log_priors(quality, c), c.receivers.memory
     for k in range(COUNT):
-        heavy = (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis[k] / _HEAVY)
-        w[k] = memory * w[k] + (1.0 - memory) * priors[k] - math.log(S[k]) - heavy
-        more = student_inflation(nis[k], 2) * S[k] if nis[k] > 2.0 else 0.0
-        _correct(masses.means[k], masses.covariances[k], s.residual, S[k], more, G[k] > 0.0)
+        log_tail = (_STUDENT_DOF + 2.0) / 2.0 * math.log(1.0 + _STUDENT_SCALE * nis[k] / _STUDENT_DOF)
+        w[k] = memory * w[k] + (1.0 - memory) * priors[k] - math.log(S[k]) - log_tail
+        inflation = student_inflation(nis[k], 2) * S[k] if nis[k] > 2.0 else 0.0
+        _correct(masses.means[k], masses.covariances[k], s.residual, S[k], inflation, G[k] > 0.0)
     w -= w.max()
     if quality == PRECISE:  # the kind of errors may change at any time
         w[:] = np.maximum(w, priors - c.receivers.most_odds)
@@ -237,25 +240,30 @@ def _predict(s: Receiver, masses: Masses, R: float, displacement: DisplacementEr
     n, dt, squared = c.receivers, s.elapsed, (s.distance / s.elapsed) ** 2
     of_speed = 2.0 * displacement.speed * c.velocity_errors.time
     walk = dt * (squared * n.distance_error**2 + of_speed + n.displacement_walk**2)
-    kept, turned = math.exp(-dt / n.direction_time), squared * (displacement.direction + n.direction_error**2)
+    decay, rate_variance = (
+        math.exp(-dt / n.direction_time),
+        squared * (displacement.direction + n.direction_error**2),
+    )
     for k in range(COUNT):
         x, P = masses.means[k], masses.covariances[k]
         rho = math.exp(-dt / TIMES[k]) if G[k] > 0.0 else 0.0
         for axis in range(2):
             x[0, axis], x[1, axis] = rho * x[0, axis], x[1, axis] + dt * x[2, axis]
-            x[2, axis] *= kept
+            x[2, axis] *= decay
         P[3] += 2.0 * dt * P[4] + dt * dt * P[5] + walk
         P[0], P[1] = rho * rho * P[0] + (1.0 - rho * rho) * G[k] * R, rho * (P[1] + dt * P[2])
-        P[4], P[2] = kept * (P[4] + dt * P[5]), rho * kept * P[2]
-        P[5] = kept * kept * P[5] + (1.0 - kept * kept) * turned
+        P[4], P[2] = decay * (P[4] + dt * P[5]), rho * decay * P[2]
+        P[5] = decay * decay * P[5] + (1.0 - decay * decay) * rate_variance
 
 
 @compiled
-def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float, correlated: bool) -> None:
-    """Update b, c and ċ (3, 2) with r (2,); ``more`` inflates the variance S of r, and of b if correlated."""
-    S += more
-    if correlated:
-        P[0] += more
+def _correct(
+    x: FloatArray, P: FloatArray, r: FloatArray, S: float, inflation: float, is_correlated: bool
+) -> None:
+    """Update b, c and ċ (3, 2) with r (2,); ``inflation`` adds to the variance S of r, of b if correlated."""
+    S += inflation
+    if is_correlated:
+        P[0] += inflation
     hb, hc, hd = P[0] + P[1], P[1] + P[3], P[2] + P[4]
     for axis in range(2):
         nu = r[axis] - x[0, axis] - x[1, axis]
@@ -279,7 +287,7 @@ def student_inflation(nis: float, m: int) -> float:
 
 
 @compiled
-def _set_means(found: FixErrors, quality: int, w: FloatArray, c: Config) -> None:
+def _set_means(errors: FixErrors, quality: int, w: FloatArray, c: Config) -> None:
     """Set f, g and τ of a quality to weighted means; 1/τ is weighted with g too, since g/τ drives b."""
     best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):
@@ -288,12 +296,12 @@ def _set_means(found: FixErrors, quality: int, w: FloatArray, c: Config) -> None
             total, f, g = total + mass, f + mass * F[k], g + mass * G[k]
             driving += mass * G[k] / TIMES[k]
             white += mass if k < _WHITES else 0.0
-    found.f, found.g, found.white = f / total, max(g / total, _LEAST_G), white / total
+    errors.f, errors.g, errors.white = f / total, max(g / total, _LEAST_G), white / total
     longest = c.receivers.longest_time
-    found.time = min(g / driving, longest) if driving > 0.0 else longest
+    errors.time = min(g / driving, longest) if driving > 0.0 else longest
     if quality == PRECISE:
-        found.f = max(found.f, 1.0 - c.receivers.most_correlated)
-        if found.white >= _EVEN:
-            rest = 1.0 - found.f
-            found.g = rest if rest > c.receivers.least_rest else 0.0
-            found.time = c.receivers.precise_time
+        errors.f = max(errors.f, 1.0 - c.receivers.most_correlated)
+        if errors.white >= _MOSTLY_WHITE:
+            rest = 1.0 - errors.f
+            errors.g = rest if rest > c.receivers.least_rest else 0.0
+            errors.time = c.receivers.precise_time

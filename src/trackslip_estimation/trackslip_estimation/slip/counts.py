@@ -22,7 +22,7 @@ from trackslip_estimation.kalman.constant_velocity import RateCovariance, propag
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
 
-_SPEED_WALK = 0.2  # rad/s in a second
+_SPEED_WALK = 0.2  # rad/s/√s
 
 
 class CountsRecord(Record):
@@ -62,7 +62,7 @@ class CountsEstimate(NamedTuple):
 class _Gain(NamedTuple):
     """Gains of a position: share of p − θ that stays, and gain of ω."""
 
-    kept: float
+    rest: float
     speed: float  # 1/s
 
 
@@ -77,30 +77,30 @@ def begin_counts(counts: CountsRecord, c: Config) -> None:
 @compiled
 def filter_counts(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> CountsEstimate:
     """Estimate ``dt`` s after ``counts``, from mean encoder speeds ``left`` and ``right``, rad/s."""
-    known = RateCovariance(counts.variance, counts.covariance, counts.speed_variance)
-    variance, covariance, speed_variance = propagate_rate_covariance(known, dt, _SPEED_WALK)
+    before = RateCovariance(counts.variance, counts.covariance, counts.speed_variance)
+    variance, covariance, speed_variance = propagate_rate_covariance(before, dt, _SPEED_WALK)
     R, half = c.encoder_resolution**2 / 12.0, c.encoder_resolution / 2.0
     S = variance + R
     gain = _Gain(R / S, covariance / S)
-    now = gain.kept * variance
-    shared = gain.kept * (counts.variance + counts.covariance * dt)  # of θ now and before
+    updated = gain.rest * variance
+    cross_covariance = gain.rest * (counts.variance + counts.covariance * dt)  # of θ now and before
     return CountsEstimate(
         _filter_sprocket(counts.left_ahead, counts.left_speed, left, dt, gain, half),
         _filter_sprocket(counts.right_ahead, counts.right_speed, right, dt, gain, half),
-        now,
-        gain.kept * covariance,
+        updated,
+        gain.rest * covariance,
         max(speed_variance - gain.speed * covariance, 0.0),
-        max(now + counts.variance - 2.0 * shared, 0.0) / (dt * dt),
+        max(updated + counts.variance - 2.0 * cross_covariance, 0.0) / (dt * dt),
     )
 
 
 @compiled
 def _filter_sprocket(
-    ahead: float, speed: float, shown: float, dt: float, gain: _Gain, half: float
+    ahead: float, speed: float, measured: float, dt: float, gain: _Gain, half: float
 ) -> SprocketEstimate:
-    innovation = ahead + (shown - speed) * dt
-    after = min(max(gain.kept * innovation, -half), half)
-    return SprocketEstimate(after, speed + gain.speed * innovation, shown - (after - ahead) / dt)
+    innovation = ahead + (measured - speed) * dt
+    after = min(max(gain.rest * innovation, -half), half)
+    return SprocketEstimate(after, speed + gain.speed * innovation, measured - (after - ahead) / dt)
 
 
 @compiled

@@ -172,14 +172,14 @@ class SlipEstimator:
         """Learned states of machine and ground; None before the first."""
         if not self.started:
             return self._start
-        found = extract_learned(self.window.best[self.window.count - 1], self.learned_context, self.sources)
-        return found if found.is_finite else self._start
+        learned = extract_learned(self.window.best[self.window.count - 1], self.learned_context, self.sources)
+        return learned if learned.is_finite else self._start
 
     @property
     def competing_explanations(self) -> CompetingExplanations:
         """Competing explanations, the most probable first; none without an estimate."""
-        found = describe_branches(self.window, self._named_sources) if self.started else []
-        return CompetingExplanations(self.newest_ns or 0, found)
+        explanations = describe_branches(self.window, self._named_sources) if self.started else []
+        return CompetingExplanations(self.newest_ns or 0, explanations)
 
     @property
     def certainty(self) -> float:
@@ -223,20 +223,20 @@ class SlipEstimator:
                 return results
             self.window = enlarged_copy(self.window)
 
-    def process(self, given: Input) -> Step:
+    def process(self, arrival: Input) -> Step:
         """Process one measurement in the order of stamps, or apply a command.
 
         Returns its report, and the estimate to publish if it was the newest sprocket sample.
         """
-        if isinstance(given, (Command, Reload)):
-            return self.apply_command(given), None
-        return self.process_all((given,))[0]
+        if isinstance(arrival, (Command, Reload)):
+            return self.apply_command(arrival), None
+        return self.process_all((arrival,))[0]
 
     def process_all(self, measurements: Iterable[Measurement]) -> list[Step]:
         """``process`` of each in one call."""
-        given = list(measurements)
-        results = self.process_records(to_records(given, self.sources))
-        return [make_step(result, m.source) for result, m in zip(results.tolist(), given, strict=True)]
+        arrivals = list(measurements)
+        results = self.process_records(to_records(arrivals, self.sources))
+        return [make_step(result, m.source) for result, m in zip(results.tolist(), arrivals, strict=True)]
 
     def estimate(self) -> Estimate:
         """The estimate at the newest stamp of any source.
@@ -257,8 +257,8 @@ class SlipEstimator:
         self.learned_context = learned_context(p)
         names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
         c = self.config[0]
-        places = c["offsets"].tolist(), c["yaw_offsets"].tolist()
-        self._named_sources = Sources(names, *places, set(p.velocities()), set(p.swing_encoders()))
+        offset_states = c["offsets"].tolist(), c["yaw_offsets"].tolist()
+        self._named_sources = Sources(names, *offset_states, set(p.velocities()), set(p.swing_encoders()))
         if self._start is not None:
             set_learned_priors(self._start, self.config, self.learned_context, self.sources)
 
@@ -266,8 +266,8 @@ class SlipEstimator:
 def make_step(result: ResultFields, source: str) -> Step:
     """Report and estimate of a record of ``RESULT``, given as a tuple, which is faster to read."""
     stamp_ns, outcome, dof, nis, gate, attitude, fault, published, estimate = result
-    rejection, lack = AttitudeRejection(attitude) if attitude else None, Fault(fault) if fault else None
-    report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, rejection, lack)
+    rejection, reason = AttitudeRejection(attitude) if attitude else None, Fault(fault) if fault else None
+    report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, rejection, reason)
     return report, make_estimate(estimate) if published else None
 
 

@@ -71,13 +71,17 @@ class AcceptedEvent(NamedTuple):
     event: Event
     source: str  # name of the affected source
     probability: float  # of the branch, at its latest evaluation
-    begins: bool = False  # whether the event assigned a sector to an unknown heading
-    swings: bool = False  # whether the source measures swing angles
+    is_sector: bool = False  # whether the event assigned a sector to an unknown heading
+    is_swing_source: bool = False  # whether the source measures swing angles
 
     @property
     def text(self) -> str:
         """The event in the user's words."""
-        return _HEADING_WAS_UNKNOWN if self.begins else _event_text(self.event, self.source, self.swings)
+        return (
+            _HEADING_WAS_UNKNOWN
+            if self.is_sector
+            else _event_text(self.event, self.source, self.is_swing_source)
+        )
 
 
 class Sources(NamedTuple):
@@ -127,57 +131,60 @@ def describe_branches(window: Window, sources: Sources) -> list[Explanation]:
     weights = np.exp(window.branches["weight"][: int(window.counts[last]), last])
     probabilities = weights / weights.sum()
     branches = window.branches[:, last]
-    is_found = len({_sector_number(branches[s]) for s in range(len(weights))}) == 1  # heading known
-    found: dict[str, Explanation] = {}
+    is_heading_known = len({_sector_number(branches[s]) for s in range(len(weights))}) == 1
+    by_kind: dict[str, Explanation] = {}
     for s in np.argsort(-probabilities, kind="stable").tolist():
-        kind, explanation = _branch_explanation(window.states[s, last], branches[s], sources, is_found)
-        known = found.get(kind, explanation)
-        found[kind] = known._replace(probability=known.probability + float(probabilities[s]))
-    likely = [e for e in found.values() if e.probability >= _LEAST_PROBABILITY]
+        kind, explanation = _branch_explanation(
+            window.states[s, last], branches[s], sources, is_heading_known
+        )
+        merged = by_kind.get(kind, explanation)
+        by_kind[kind] = merged._replace(probability=merged.probability + float(probabilities[s]))
+    likely = [e for e in by_kind.values() if e.probability >= _LEAST_PROBABILITY]
     return sorted(likely, key=lambda e: -e.probability)
 
 
-def sentence(found: Sequence[Explanation], seconds: float) -> str:
+def sentence(explanations: Sequence[Explanation], seconds: float) -> str:
     """As "two explanations for 2.0 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)"."""
-    if len(found) == 1:
-        return f"{found[0].text}, " + (
-            f"for {seconds:.1f} s" if found[0].is_ongoing else f"{seconds:.1f} s ago"
+    if len(explanations) == 1:
+        return f"{explanations[0].text}, " + (
+            f"for {seconds:.1f} s" if explanations[0].is_ongoing else f"{seconds:.1f} s ago"
         )
-    count = _COUNTS[len(found)] if len(found) < len(_COUNTS) else str(len(found))
-    named = [(e.text, e.probability) for e in found[:_MOST_NAMED]]
-    named += [("others", sum(e.probability for e in found[_MOST_NAMED:]))] if len(found) > _MOST_NAMED else []
+    count = _COUNTS[len(explanations)] if len(explanations) < len(_COUNTS) else str(len(explanations))
+    named = [(e.text, e.probability) for e in explanations[:_MOST_NAMED]]
+    if len(explanations) > _MOST_NAMED:
+        named.append(("others", sum(e.probability for e in explanations[_MOST_NAMED:])))
     listed = ", ".join(f"{text} ({100.0 * probability:.0f} %)" for text, probability in named)
     return f"{count} explanations for {seconds:.1f} s: {listed}"
 
 
 def recent_events_text(events: Sequence[AcceptedEvent]) -> str:
     """The latest events, without outliers, with stamps of the explained measurements, for /diagnostics."""
-    ongoing = [h for h in events if h.event is not Event.OUTLIER][-_MOST_LISTED:]
-    if not ongoing:
+    latest = [e for e in events if e.event is not Event.OUTLIER][-_MOST_LISTED:]
+    if not latest:
         return "none"
-    listed = "; ".join(f"{h.stamp_ns * 1e-9:.2f} {h.text}" for h in ongoing)
-    return f"{listed}; probability {100.0 * ongoing[-1].probability:.0f} %"
+    listed = "; ".join(f"{e.stamp_ns * 1e-9:.2f} {e.text}" for e in latest)
+    return f"{listed}; probability {100.0 * latest[-1].probability:.0f} %"
 
 
 def accepted_events(
-    branch: Branch, sources: Sources, known: list[AcceptedEvent], probability: float
+    branch: Branch, sources: Sources, earlier: list[AcceptedEvent], probability: float
 ) -> list[AcceptedEvent]:
-    """Events of a record of ``BRANCH``: the latest ones from the record, earlier ones from ``known``.
+    """Events of a record of ``BRANCH``: the latest ones from the record, earlier ones from ``earlier``.
 
     ``probability``: of the branch.
     """
     count = int(branch["events"])
-    found = known[: max(min(count - HISTORY, len(known)), 0)]
+    events = earlier[: max(min(count - HISTORY, len(earlier)), 0)]
     for n in range(max(count - HISTORY, 0), count):
         e = branch["history"][n % HISTORY]
         name = sources.names.get(int(e["source"]), "")
-        of_source = name, probability, _is_sector_event(e), name in sources.swings
-        found.append(AcceptedEvent(int(e["decided_ns"]), Event(e["event"]), *of_source))
-    return found
+        details = name, probability, _is_sector_event(e), name in sources.swings
+        events.append(AcceptedEvent(int(e["decided_ns"]), Event(e["event"]), *details))
+    return events
 
 
-def _event_text(event: Event, source: str, swings: bool) -> str:
-    words = _PERMANENT_OFFSET if swings and event is Event.BECAME_JUMP else _WORDS[event]
+def _event_text(event: Event, source: str, is_swing_source: bool) -> str:
+    words = _PERMANENT_OFFSET if is_swing_source and event is Event.BECAME_JUMP else _WORDS[event]
     return words.format(source=source)
 
 
@@ -193,11 +200,11 @@ def _sector_number(branch: Branch) -> int:
 
 
 def _branch_explanation(
-    state: State, branch: Branch, sources: Sources, is_found: bool
+    state: State, branch: Branch, sources: Sources, is_heading_known: bool
 ) -> tuple[str, Explanation]:
     """Kind of a branch's explanation without numbers, and the explanation, of probability 0.
 
-    ``is_found``: whether an initially unknown heading is known.
+    ``is_heading_known``: whether an initially unknown heading is known.
     """
     for number, fault in enumerate(state["fault"].tolist()):
         if fault != SourceFault.HEALTHY and number in sources.names:
@@ -217,7 +224,7 @@ def _branch_explanation(
             text = f"both tracks slip {100.0 * state['mean'][COMMON_SLIP]:.0f} %"
             return event.name, Explanation(text, 0.0, stamp_ns)
         elif _is_sector_event(e):
-            if not is_found:
+            if not is_heading_known:
                 return _FINDING_HEADING, Explanation(_FINDING_HEADING, 0.0, stamp_ns)
         elif event is not Event.OUTLIER and not (event in _FAULTS and source in healthy):
             name = sources.names.get(source, "")

@@ -38,8 +38,8 @@ def gate_factor(rejected_ns: int, timeout_ns: int, relaxation: float) -> float:
 def gate_limit(state: State, measurement: MeasurementRecord, rows: int, c: Config) -> float:
     """Gate w g of a measurement with ``rows`` degrees of freedom."""
     source = measurement.source
-    wide = gate_factor(state.rejected_ns[source], c.timeouts_ns[source], c.gate_relaxation)
-    return float(c.gate_limits[rows] * wide)
+    factor = gate_factor(state.rejected_ns[source], c.timeouts_ns[source], c.gate_relaxation)
+    return float(c.gate_limits[rows] * factor)
 
 
 @compiled
@@ -49,6 +49,6 @@ def update_rejection_time(state: State, measurement: MeasurementRecord, c: Confi
     if state.consistent_ns[source] >= state.received_ns[source]:
         state.rejected_ns[source] = 0
     else:
-        silent_ns = measurement.stamp_ns - state.received_ns[source]
-        state.rejected_ns[source] += min(max(silent_ns, 0), c.timeouts_ns[source])
+        elapsed_ns = measurement.stamp_ns - state.received_ns[source]
+        state.rejected_ns[source] += min(max(elapsed_ns, 0), c.timeouts_ns[source])
     state.received_ns[source] = measurement.stamp_ns

@@ -50,8 +50,8 @@ def log_odds_of_delay(state: State, source: int, c: Config) -> float:
     if not has_velocity_errors(c) or v >= w / 4.0 or not 0.0 < P < _LARGEST_RATIO * v:
         return -math.inf
     R = 1.0 / (1.0 / P - 1.0 / v)
-    shown = (state.mean[FIX_DELAY] - c.prior_mean[FIX_DELAY]) * R / P
-    return float(log_ratio(shown * shown, R + w, R + v) + math.log(c.events.late_share))
+    measured = (state.mean[FIX_DELAY] - c.prior_mean[FIX_DELAY]) * R / P
+    return float(log_ratio(measured * measured, R + w, R + v) + math.log(c.events.late_share))
 
 
 @compiled

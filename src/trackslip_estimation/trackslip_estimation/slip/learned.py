@@ -37,9 +37,7 @@ if TYPE_CHECKING:
 
 _UNLEARNED_PARTS = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not kept
 _HOURS, _DAYS = 3600.0, 86400.0
-_GROUND_LIFETIME = (
-    8.0 * _HOURS
-)  # T of ground states and of all noise: the ground and the GNSS conditions change
+_GROUND_LIFETIME = 8.0 * _HOURS  # T of ground states and of all noise: ground and GNSS conditions change
 _MACHINE_LIFETIME = 180.0 * _DAYS
 _LIFETIMES = {
     "gyro_bias": 4.0 * _HOURS,  # temperature
@@ -55,7 +53,7 @@ class Learned:
     """Kept states and noise weights of one estimator."""
 
     machine: str  # digest of vehicle, sources and model
-    mean: FloatArray  # (n,) in the order of ``LearnedContext.places``
+    mean: FloatArray  # (n,) in the order of ``LearnedContext.state_indices``
     stddev: FloatArray  # (n,)
     correlations: FloatArray  # (n, n)
     track_weights: FloatArray  # (TRACK_ERRORS, RATE_FACTORS) ln of the weights of s and a
@@ -89,7 +87,7 @@ class LearnedContext(NamedTuple):
     """Context of learned numbers, by the parameters; read-only."""
 
     machine: str  # digest of the vehicle, its sources and the model
-    places: Mapping[str, int]  # kept state → index in the state vector, in the model's order
+    state_indices: Mapping[str, int]  # learned state → index in the state vector, in the model's order
     prior: Learned
     constants: Any  # record of ``adaptation.CONSTANTS``
     has_track_error: bool  # whether the model estimates one
@@ -98,14 +96,14 @@ class LearnedContext(NamedTuple):
 
 def learned_context(p: SlipEstimatorParameters) -> LearnedContext:
     """Context of the values that an estimator with these parameters learns."""
-    c, places, machine = make_config(p)[0], _kept_states(p), _machine_digest(p)
-    kept, n = list(places.values()), c["adaptation"]
+    c, states, machine = make_config(p)[0], _learned_states(p), _machine_digest(p)
+    indices, n = list(states.values()), c["adaptation"]
     weights = np.tile(n["rate_prior"], (len(n["track_variances"]), 1))
-    stddev, correlations = _stddev_and_correlations(c["prior_covariance"][np.ix_(kept, kept)])
-    prior = Learned(machine, c["prior_mean"][kept], stddev, correlations, weights, {})
+    stddev, correlations = _stddev_and_correlations(c["prior_covariance"][np.ix_(indices, indices)])
+    prior = Learned(machine, c["prior_mean"][indices], stddev, correlations, weights, {})
     has_track_error = hasattr(MODELS[p.model], "velocity_error_constants")
     stamp_errors = {name: source.stamp_error for name, source in p.poses().items()}
-    return LearnedContext(machine, places, prior, n, has_track_error, stamp_errors)
+    return LearnedContext(machine, states, prior, n, has_track_error, stamp_errors)
 
 
 def _machine_digest(p: SlipEstimatorParameters) -> str:
@@ -135,25 +133,25 @@ def _mount_for_digest(source: MountableSource) -> tuple[str, ...]:
     return (source.mount,) if source.above else ()
 
 
-def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:
-    found: dict[str, int] = {}
+def _learned_states(p: SlipEstimatorParameters) -> dict[str, int]:
+    states: dict[str, int] = {}
     for part in MODELS[p.model].PARTS:
         places = range(part.at.start, part.at.stop)
         if part.name not in _UNLEARNED_PARTS:
             names = [f"{part.name}_{k + 1}" for k in range(len(places))] if len(places) > 1 else [part.name]
-            found |= dict(zip(names, places, strict=True))
-    return found
+            states |= dict(zip(names, places, strict=True))
+    return states
 
 
 def extract_learned(state: State, context: LearnedContext, sources: Mapping[str, int]) -> Learned:
     """Extract learned values from a record of ``STATE``; ``sources``: name → number."""
     adaptation = state["adaptation"]
-    kept = list(context.places.values())
+    indices = list(context.state_indices.values())
     weights = {name: adaptation["fix_log_weights"][sources[name]] for name in context.stamp_errors}
     return Learned(
         context.machine,
-        state["mean"][kept],
-        *_stddev_and_correlations(state["covariance"][np.ix_(kept, kept)]),
+        state["mean"][indices],
+        *_stddev_and_correlations(state["covariance"][np.ix_(indices, indices)]),
         adaptation["log_weights"].copy(),
         {name: log_weights.copy() for name, log_weights in weights.items() if log_weights.any()},
     )
@@ -161,9 +159,9 @@ def extract_learned(state: State, context: LearnedContext, sources: Mapping[str,
 
 def decay_to_prior(learned: Learned, age_s: float, context: LearnedContext) -> Learned:
     """Decay learned values towards the prior over ``age_s`` seconds, at least 0."""
-    prior, of_fixes = context.prior, context.constants["fix_prior"]
-    lifetimes = np.array([_LIFETIMES.get(name, _GROUND_LIFETIME) for name in context.places])
-    phi, kept = np.exp(-age_s / lifetimes), math.exp(-age_s / _GROUND_LIFETIME)
+    prior, fix_prior = context.prior, context.constants["fix_prior"]
+    lifetimes = np.array([_LIFETIMES.get(name, _GROUND_LIFETIME) for name in context.state_indices])
+    phi, noise_share = np.exp(-age_s / lifetimes), math.exp(-age_s / _GROUND_LIFETIME)
     forgotten = -np.expm1(-age_s * np.add.outer(1.0 / lifetimes, 1.0 / lifetimes))
     stddev, correlations = _stddev_and_correlations(
         np.outer(phi, phi) * learned.covariance + forgotten * prior.covariance
@@ -173,8 +171,10 @@ def decay_to_prior(learned: Learned, age_s: float, context: LearnedContext) -> L
         mean=prior.mean + phi * (learned.mean - prior.mean),
         stddev=stddev,
         correlations=correlations,
-        track_weights=prior.track_weights + kept * (learned.track_weights - prior.track_weights),
-        fix_weights={name: of_fixes + kept * (w - of_fixes) for name, w in learned.fix_weights.items()},
+        track_weights=prior.track_weights + noise_share * (learned.track_weights - prior.track_weights),
+        fix_weights={
+            name: fix_prior + noise_share * (w - fix_prior) for name, w in learned.fix_weights.items()
+        },
     )
 
 
@@ -182,9 +182,9 @@ def set_learned_priors(
     learned: Learned, config: ConfigRecord, context: LearnedContext, sources: Mapping[str, int]
 ) -> None:
     """Set the priors of ``config``, (1,) of ``CONFIG``, to learned values instead of the parameters' ones."""
-    c, kept = config[0], list(context.places.values())
-    c["prior_mean"][kept] = learned.mean
-    c["prior_covariance"][np.ix_(kept, kept)] = learned.covariance
+    c, indices = config[0], list(context.state_indices.values())
+    c["prior_mean"][indices] = learned.mean
+    c["prior_covariance"][np.ix_(indices, indices)] = learned.covariance
     c["prior_variance"] = np.diag(c["prior_covariance"])
     start, n = c["start"], c["adaptation"]
     masses = weights_of(learned.track_weights)
@@ -206,7 +206,7 @@ def weights_of(log_weights: FloatArray) -> FloatArray:
 
 def to_tree(learned: Learned, context: LearnedContext) -> dict[str, Any]:
     """Convert to nested mappings and lists of numbers, for YAML; ``from_tree`` restores the same bits."""
-    numbers = zip(context.places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
+    numbers = zip(context.state_indices, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
     return {
         "machine": learned.machine,
         "states": {name: {"value": value, "stddev": deviation} for name, value, deviation in numbers},
@@ -228,7 +228,7 @@ def from_tree(tree: Any, context: LearnedContext) -> Learned:
         raise OtherMachineError(
             "it is of another vehicle, or of other sources or another model", tree["machine"]
         )
-    names, prior = list(context.places), context.prior
+    names, prior = list(context.state_indices), context.prior
     try:
         states, n = tree["states"], len(names)
         if list(states) != names:
@@ -244,8 +244,8 @@ def from_tree(tree: Any, context: LearnedContext) -> Learned:
             for name, log_weights in tree["fix_noise_ln_weights"].items()
             if name in context.stamp_errors
         }
-        everything = (mean, stddev, correlations, track, *fixes.values())
-        if not all(np.all(np.abs(numbers) < 1e9) for numbers in everything) or np.any(stddev < 0.0):
+        arrays = (mean, stddev, correlations, track, *fixes.values())
+        if not all(np.all(np.abs(numbers) < 1e9) for numbers in arrays) or np.any(stddev < 0.0):
             raise ValueError("numbers")
         if np.linalg.eigvalsh(correlations)[0] < -_ROUNDING:
             raise ValueError("correlations")
@@ -257,6 +257,6 @@ def from_tree(tree: Any, context: LearnedContext) -> Learned:
 def _stddev_and_correlations(P: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Standard deviations (n,) and correlations (n, n) of a covariance (n, n)."""
     stddev = np.sqrt(np.diag(P))
-    over = np.where(stddev > 0.0, stddev, 1.0)
-    below = np.tril(P / np.outer(over, over), -1)
-    return stddev, below + below.T + np.eye(len(stddev))
+    divisor = np.where(stddev > 0.0, stddev, 1.0)
+    lower = np.tril(P / np.outer(divisor, divisor), -1)
+    return stddev, lower + lower.T + np.eye(len(stddev))

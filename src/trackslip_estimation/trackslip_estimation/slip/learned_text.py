@@ -106,29 +106,31 @@ def decimals(stddev: float) -> int:
 
 def learned_quantities(learned: Learned | None, context: LearnedContext) -> list[LearnedQuantity]:
     """All learned quantities of an estimator; the priors if nothing was learned."""
-    known = context.prior if learned is None else learned
-    found = [quantity for name in context.places for quantity in _state_quantities(name, known, context)]
+    values = context.prior if learned is None else learned
+    quantities = [
+        quantity for name in context.state_indices for quantity in _state_quantities(name, values, context)
+    ]
     if context.has_track_error:
-        found += _noise_quantities(known, context)
+        quantities += _noise_quantities(values, context)
     order = {kind: k for k, kind in enumerate(_FORMS)}
-    return sorted(found, key=lambda quantity: order.get(quantity.name.partition(".")[0], len(order)))
+    return sorted(quantities, key=lambda quantity: order.get(quantity.name.partition(".")[0], len(order)))
 
 
-def quantity_lines(found: list[LearnedQuantity]) -> list[str]:
+def quantity_lines(quantities: list[LearnedQuantity]) -> list[str]:
     """One line for each observed quantity, and one for all others."""
-    lines = [f.sentence for f in found if f.observed]
-    unseen = [f.form.label for f in found if not f.observed]
-    return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
+    lines = [quantity.sentence for quantity in quantities if quantity.observed]
+    unobserved = [quantity.form.label for quantity in quantities if not quantity.observed]
+    return lines + ([f"{NOT_OBSERVED}: {', '.join(unobserved)}"] if unobserved else [])
 
 
-def _state_quantities(name: str, known: Learned, context: LearnedContext) -> list[LearnedQuantity]:
+def _state_quantities(name: str, learned: Learned, context: LearnedContext) -> list[LearnedQuantity]:
     """Quantities of one state: of the delay one for each source, none if the parameters fix the state."""
-    k = list(context.places).index(name)
-    value, stddev, before = known.mean[k], known.stddev[k], context.prior.stddev[k]
-    if before == 0.0:
+    k = list(context.state_indices).index(name)
+    value, stddev, prior_stddev = learned.mean[k], learned.stddev[k], context.prior.stddev[k]
+    if prior_stddev == 0.0:
         return []
-    moved = abs(value - context.prior.mean[k])
-    observed = bool(stddev < _OBSERVED_STDDEV * before or moved > _OBSERVED_MEAN * before)
+    difference = abs(value - context.prior.mean[k])
+    observed = bool(stddev < _OBSERVED_STDDEV * prior_stddev or difference > _OBSERVED_MEAN * prior_stddev)
     if name == "fix_delay":
         return [
             LearnedQuantity(f"{name}.{source}", float(value * error), float(stddev * error), observed)
@@ -139,44 +141,47 @@ def _state_quantities(name: str, known: Learned, context: LearnedContext) -> lis
     return [LearnedQuantity(name, float(value) + zero, float(stddev), observed)]
 
 
-def _noise_quantities(known: Learned, context: LearnedContext) -> list[LearnedQuantity]:
+def _noise_quantities(learned: Learned, context: LearnedContext) -> list[LearnedQuantity]:
     """Quantities of the track error, and of the factors of the variances stated by gyro and fixes."""
-    n, joint, before = (
+    n, joint, prior = (
         context.constants,
-        weights_of(known.track_weights),
+        weights_of(learned.track_weights),
         weights_of(context.prior.track_weights),
     )
-    masses, variances = (joint.sum(axis=1), before.sum(axis=1)), n["track_variances"]
+    masses, variances = (joint.sum(axis=1), prior.sum(axis=1)), n["track_variances"]
     squared = _point_mass_quantity("", variances, *masses)
     error = math.sqrt(squared.value)
-    found = [
+    quantities = [
         LearnedQuantity("track_error", error, squared.stddev / (2.0 * error), squared.observed),
-        _point_mass_quantity("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), before.sum(axis=0)),
+        _point_mass_quantity("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), prior.sum(axis=0)),
     ]
     unknown = unknown_fix_factor()
     for source in context.stamp_errors:
-        name, log_weights = f"fix_noise_factor.{source}", known.fix_weights.get(source)
-        masses_of = unknown if log_weights is None else weights_of(log_weights)
-        quantity = _point_mass_quantity(name, n["fix_factors"], masses_of, unknown)
-        found.append(quantity if log_weights is not None else quantity._replace(value=1.0))  # as stated
-    return found
+        name, log_weights = f"fix_noise_factor.{source}", learned.fix_weights.get(source)
+        fix_masses = unknown if log_weights is None else weights_of(log_weights)
+        quantity = _point_mass_quantity(name, n["fix_factors"], fix_masses, unknown)
+        quantities.append(quantity if log_weights is not None else quantity._replace(value=1.0))  # as stated
+    return quantities
 
 
 def _point_mass_quantity(
-    name: str, points: FloatArray, masses: FloatArray, before: FloatArray
+    name: str, points: FloatArray, masses: FloatArray, prior: FloatArray
 ) -> LearnedQuantity:
     """Mean and standard deviation of point masses, each spread uniformly to the next point."""
     mean = float(masses @ points)
     between = mean * math.log(points[1] / points[0]) / math.sqrt(12.0)
     variance = float(masses @ np.square(points - mean)) + between**2
-    return LearnedQuantity(name, mean, math.sqrt(variance), _have_weights_changed(masses, before))
+    return LearnedQuantity(name, mean, math.sqrt(variance), _have_weights_changed(masses, prior))
 
 
-def _have_weights_changed(masses: FloatArray, before: FloatArray) -> bool:
+def _have_weights_changed(masses: FloatArray, prior: FloatArray) -> bool:
     """Whether the total variation between the weights exceeds ``_OBSERVED_WEIGHTS``."""
-    return bool(np.abs(masses - before).sum() / 2.0 > _OBSERVED_WEIGHTS)
+    return bool(np.abs(masses - prior).sum() / 2.0 > _OBSERVED_WEIGHTS)
 
 
-def to_json(found: list[LearnedQuantity]) -> dict[str, dict[str, Any]]:
+def to_json(quantities: list[LearnedQuantity]) -> dict[str, dict[str, Any]]:
     """Convert to name → value, stddev, observed."""
-    return {f.name: {"value": f.value, "stddev": f.stddev, "observed": f.observed} for f in found}
+    return {
+        quantity.name: {"value": quantity.value, "stddev": quantity.stddev, "observed": quantity.observed}
+        for quantity in quantities
+    }

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
-Place = tuple[float, float, float, float]
+UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
+SwungArm = tuple[float, float, float, float]
 
 
 class Lever(NamedTuple):
@@ -44,28 +44,22 @@ class Lever(NamedTuple):
 
 
 @compiled
-def arm_from_swing_axis(source: int, c: Config) -> tuple[float, float]:
-    """l − a of a sensor above, horizontal, m."""
-    return c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
-
-
-@compiled
 def unknown_swing_variance(P: FloatArray, source: int, c: Config) -> float:
     """Variance of a sensor's position by axis, m², where σ is unknown and linearisation fails; else 0."""
-    x, y = arm_from_swing_axis(source, c)
-    known = P[SWING, SWING] <= UNKNOWN_SWING**2
-    return 0.0 if known else float(x * x + y * y)
+    x, y = c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
+    is_known = P[SWING, SWING] <= UNKNOWN_SWING**2
+    return 0.0 if is_known else float(x * x + y * y)
 
 
 @compiled
-def swung_lever_arm(swing: float, source: int, c: Config) -> Place:
+def swung_lever_arm(swing: float, source: int, c: Config) -> SwungArm:
     """x and y of a sensor's lever arm in base_link, and their derivatives by σ."""
     x, y = c.levers[source, 0], c.levers[source, 1]
     return _swung_point(x, y, swing, c) if c.above[source] == 1 else (x, y, 0.0, 0.0)
 
 
 @compiled
-def _swung_point(x: float, y: float, swing: float, c: Config) -> Place:
+def _swung_point(x: float, y: float, swing: float, c: Config) -> SwungArm:
     """x and y in base_link of a point above, and their derivatives by σ; ``x``, ``y``: at σ = 0."""
     cos, sin, ahead, left = np.cos(swing), np.sin(swing), x - c.swing_axis[0], y - c.swing_axis[1]
     by_x, by_y = -sin * ahead - cos * left, cos * ahead - sin * left
@@ -73,7 +67,7 @@ def _swung_point(x: float, y: float, swing: float, c: Config) -> Place:
 
 
 @compiled
-def horizontal_lever_arm(level: Level, swing: float, source: int, c: Config) -> Place:
+def horizontal_lever_arm(level: Level, swing: float, source: int, c: Config) -> SwungArm:
     """p and p'; ``level``: tilt of the machine, record of ``attitude``."""
     z = c.levers[source, 2]
     x, y, by_x, by_y = swung_lever_arm(swing, source, c)
@@ -86,19 +80,19 @@ def horizontal_lever_arm(level: Level, swing: float, source: int, c: Config) -> 
 @compiled
 def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
     """R(φ) p with the time-correlated tilt error, and its derivatives."""
-    above, by, cos, sin = c.above[source] == 1, np.zeros((2, x.size)), np.cos(x[YAW]), np.sin(x[YAW])
+    above, J, cos, sin = c.above[source] == 1, np.zeros((2, x.size)), np.cos(x[YAW]), np.sin(x[YAW])
     ahead, left, by_ahead, by_left = horizontal_lever_arm(level, x[SWING] if above else 0.0, source, c)
     if above:
-        by[X, SWING], by[Y, SWING] = cos * by_ahead - sin * by_left, sin * by_ahead + cos * by_left
+        J[X, SWING], J[Y, SWING] = cos * by_ahead - sin * by_left, sin * by_ahead + cos * by_left
     if c.lean_errors >= 0 and c.levers[source, 2] != 0.0:
         e, stddev = c.lean_errors, c.levers[source, 2] * c.lean_stddev
         ahead += stddev * x[e]
         left += stddev * x[e + 1]
-        by[X, e], by[Y, e] = cos * stddev, sin * stddev
-        by[X, e + 1], by[Y, e + 1] = -sin * stddev, cos * stddev
+        J[X, e], J[Y, e] = cos * stddev, sin * stddev
+        J[X, e + 1], J[Y, e + 1] = -sin * stddev, cos * stddev
     east, north = cos * ahead - sin * left, sin * ahead + cos * left
-    by[X, YAW], by[Y, YAW] = -north, east
-    return Lever(east, north, by)
+    J[X, YAW], J[Y, YAW] = -north, east
+    return Lever(east, north, J)
 
 
 @compiled
@@ -107,39 +101,39 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: flo
     above = c.above[source] == 1
     if above and sign < 0.0:
         _turn_heading(x, P, level, sign)
-    place = lever(x, level, source, c)
-    x[X] += sign * place.east
-    x[Y] += sign * place.north
-    _transform_position_covariance(P, place.jacobian, sign)
+    arm = lever(x, level, source, c)
+    x[X] += sign * arm.east
+    x[Y] += sign * arm.north
+    _transform_position_covariance(P, arm.jacobian, sign)
     if above and sign > 0.0:
         _turn_heading(x, P, level, sign)
 
 
 @compiled
 def turn_about_sensor(
-    x: FloatArray, P: FloatArray, before: FloatArray, place: Lever, level: Level, source: int, c: Config
+    x: FloatArray, P: FloatArray, before: FloatArray, arm: Lever, level: Level, source: int, c: Config
 ) -> None:
     """Add the terms beyond first order to a correction, so that C turns about the sensor; in place.
 
-    ``before``, ``place``: state and lever before the correction. The measured position of the sensor stays,
+    ``before``, ``arm``: state and lever before the correction. The measured position of the sensor stays,
     however far heading or upper structure turn.
     """
     after = lever(x, level, source, c)
-    x[X] += place.east - after.east
-    x[Y] += place.north - after.north
+    x[X] += arm.east - after.east
+    x[Y] += arm.north - after.north
     for k in range(YAW, x.size):
-        x[X] += place.jacobian[X, k] * (x[k] - before[k])
-        x[Y] += place.jacobian[Y, k] * (x[k] - before[k])
-    _transform_position_covariance(P, place.jacobian - after.jacobian, 1.0)
+        x[X] += arm.jacobian[X, k] * (x[k] - before[k])
+        x[Y] += arm.jacobian[Y, k] * (x[k] - before[k])
+    _transform_position_covariance(P, arm.jacobian - after.jacobian, 1.0)
 
 
 @compiled
-def _transform_position_covariance(P: FloatArray, by: FloatArray, sign: float) -> None:
-    """Transform P for x and y that gain ``by`` (2, n) times the other states; in place."""
-    for k in range(YAW, by.shape[1]):
+def _transform_position_covariance(P: FloatArray, J: FloatArray, sign: float) -> None:
+    """Transform P for x and y that gain ``J`` (2, n) times the other states; in place."""
+    for k in range(YAW, J.shape[1]):
         for axis in (X, Y):
-            if by[axis, k] != 0.0:
-                add_state(P, axis, k, sign * by[axis, k])
+            if J[axis, k] != 0.0:
+                add_state(P, axis, k, sign * J[axis, k])
 
 
 @compiled
@@ -152,8 +146,8 @@ def _turn_heading(x: FloatArray, P: FloatArray, level: Level, sign: float) -> No
 @compiled
 def unmodelled_tilt_variance(level: Level, source: int, c: Config) -> float:
     """Variance of a sensor's position by axis, m², by the part of the tilt error that is no state."""
-    more = max(level.lean_variance - c.lean_stddev**2, 0.0)
-    return float(c.levers[source, 2] ** 2 * more)
+    variance = max(level.lean_variance - c.lean_stddev**2, 0.0)
+    return float(c.levers[source, 2] ** 2 * variance)
 
 
 @compiled
@@ -178,12 +172,12 @@ def stamp_shift(state: State, source: int, c: Config) -> tuple[float, float, flo
     """Change of a sensor's pose within its σ_t; zero while the speed is unknown."""
     seconds = 0.0 if state.coasting else c.stamp_errors[source]
     v_x, v_y, rate = horizontal_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
-    place = horizontal_lever_arm(state.attitude.level, state.mean[SWING], source, c)
-    v_x -= rate * place[1]
-    v_y += rate * place[0]
+    arm = horizontal_lever_arm(state.attitude.level, state.mean[SWING], source, c)
+    v_x -= rate * arm[1]
+    v_y += rate * arm[0]
     if c.above[source] == 1:
-        v_x += state.mean[SWING_RATE] * place[2]
-        v_y += state.mean[SWING_RATE] * place[3]
+        v_x += state.mean[SWING_RATE] * arm[2]
+        v_y += state.mean[SWING_RATE] * arm[3]
         rate += state.mean[SWING_RATE]
     cos, sin = np.cos(state.mean[YAW]), np.sin(state.mean[YAW])
     return (cos * v_x - sin * v_y) * seconds, (sin * v_x + cos * v_y) * seconds, rate * seconds

@@ -61,7 +61,7 @@ class LocalOdometry:
     """Integrates the estimates in the order of publication."""
 
     def __init__(self) -> None:
-        self._known = make_table(LocalRecord, LOCAL, 1)
+        self._local = make_table(LocalRecord, LOCAL, 1)
         self.advance(np.zeros(0, TWIST))  # compiles now
 
     def advance(self, estimates: Records) -> Records:
@@ -69,9 +69,9 @@ class LocalOdometry:
         twists = make_table(TwistRecord, TWIST, len(estimates))
         for name in TWIST.names or ():
             twists[name] = estimates[name]
-        found = make_table(LocalRecord, LOCAL, len(estimates))
-        integrate(self._known, twists, found)
-        return found
+        poses = make_table(LocalRecord, LOCAL, len(estimates))
+        integrate(self._local, twists, poses)
+        return poses
 
     def estimate_in_odom(self, estimate: Estimate) -> Estimate:
         """The estimate with its pose in ``odom``."""
@@ -90,45 +90,45 @@ class LocalOdometry:
 
 def _replace_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
     """The tilt with the height in ``odom``."""
-    place, covariance = tilt.tilt.copy(), tilt.covariance.copy()
-    place[HEIGHT], covariance[HEIGHT], covariance[:, HEIGHT] = height, 0.0, 0.0
+    mean, covariance = tilt.tilt.copy(), tilt.covariance.copy()
+    mean[HEIGHT], covariance[HEIGHT], covariance[:, HEIGHT] = height, 0.0, 0.0
     covariance[HEIGHT, HEIGHT] = stddev**2
-    return replace(tilt, tilt=place, covariance=covariance)
+    return replace(tilt, tilt=mean, covariance=covariance)
 
 
 @compiled
-def integrate(known: Table[LocalRecord], twists: Table[TwistRecord], found: Table[LocalRecord]) -> None:
-    """Integrate (n,) of ``TWIST`` from ``known`` (1,) into (n,) of ``LOCAL``; ``known`` becomes the last."""
-    local = known[0]
+def integrate(last: Table[LocalRecord], twists: Table[TwistRecord], poses: Table[LocalRecord]) -> None:
+    """Integrate (n,) of ``TWIST`` from ``last`` (1,) into (n,) of ``LOCAL``; update ``last``."""
+    local = last[0]
     for k in range(len(twists)):
-        given = twists[k]
-        dt = (given.stamp_ns - local.stamp_ns) * 1e-9
+        twist = twists[k]
+        dt = (twist.stamp_ns - local.stamp_ns) * 1e-9
         if local.begun == 1 and 0.0 < dt <= _LONGEST:
-            _integrate_interval(local, given, dt)
-        local.begun, local.stamp_ns = 1, given.stamp_ns
-        local.horizontal[:], local.rise = given.horizontal, given.rise
-        found[k].begun, found[k].stamp_ns = 1, given.stamp_ns
-        found[k].horizontal[:], found[k].pose[:] = local.horizontal, local.pose
-        found[k].pose_covariance[:] = local.pose_covariance
-        found[k].height, found[k].height_stddev, found[k].rise = local.height, local.height_stddev, local.rise
+            _integrate_interval(local, twist, dt)
+        local.begun, local.stamp_ns = 1, twist.stamp_ns
+        local.horizontal[:], local.rise = twist.horizontal, twist.rise
+        poses[k].begun, poses[k].stamp_ns = 1, twist.stamp_ns
+        poses[k].horizontal[:], poses[k].pose[:] = local.horizontal, local.pose
+        poses[k].pose_covariance[:] = local.pose_covariance
+        poses[k].height, poses[k].height_stddev, poses[k].rise = local.height, local.height_stddev, local.rise
 
 
 @compiled
-def _integrate_interval(local: LocalRecord, given: TwistRecord, dt: float) -> None:
+def _integrate_interval(local: LocalRecord, twist: TwistRecord, dt: float) -> None:
     """Integrate one interval."""
-    v_x = 0.5 * (local.horizontal[0] + given.horizontal[0])
-    v_y = 0.5 * (local.horizontal[1] + given.horizontal[1])
-    rate = 0.5 * (local.horizontal[2] + given.horizontal[2])
+    v_x = 0.5 * (local.horizontal[0] + twist.horizontal[0])
+    v_y = 0.5 * (local.horizontal[1] + twist.horizontal[1])
+    rate = 0.5 * (local.horizontal[2] + twist.horizontal[2])
     middle = local.pose[2] + 0.5 * rate * dt
     c, s = math.cos(middle), math.sin(middle)
     dx, dy = (v_x * c - v_y * s) * dt, (v_x * s + v_y * c) * dt
     local.pose[0] += dx
     local.pose[1] += dy
     local.pose[2] += rate * dt
-    local.height += 0.5 * (local.rise + given.rise) * dt
-    local.height_stddev += math.sqrt(given.rise_variance) * dt
+    local.height += 0.5 * (local.rise + twist.rise) * dt
+    local.height_stddev += math.sqrt(twist.rise_variance) * dt
     P, F, T = local.pose_covariance, np.eye(3), np.eye(3)
     F[0, 2], F[1, 2] = -dy, dx
     T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c
-    grown = F @ P @ F.T + T @ given.twist_covariance @ T.T * (_CORRELATION * dt)
-    P[:] = 0.5 * (grown + grown.T)
+    propagated = F @ P @ F.T + T @ twist.twist_covariance @ T.T * (_CORRELATION * dt)
+    P[:] = 0.5 * (propagated + propagated.T)

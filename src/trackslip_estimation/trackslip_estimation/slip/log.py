@@ -146,22 +146,22 @@ def best_branch_script(log: Log, p: SlipEstimatorParameters) -> Records:
 
     A run with this script has the states of that branch.
     """
-    found: list[Any] = []
+    events: list[Any] = []
     for block in run_log(log, p):
         branch = block.window.branches[0, block.window.count - 1]
         count = int(branch["events"])
-        del found[count:]
+        del events[count:]
         for n in range(max(count - HISTORY, 0), count):
             event = branch["history"][n % HISTORY].copy()
-            if n < len(found) and found[n] == event:
+            if n < len(events) and events[n] == event:
                 continue
-            del found[n:]
-            found.append(event)
-    script = np.zeros(len(found), EVENT)
-    for n, event in enumerate(found):
+            del events[n:]
+            events.append(event)
+    script = np.zeros(len(events), EVENT)
+    for n, event in enumerate(events):
         script[n] = event
-    order = script["stamp_ns"], script["kind"], script["of"], script["after"]
-    return script[np.lexsort(order[::-1])]
+    keys = script["stamp_ns"], script["kind"], script["of"], script["after"]
+    return script[np.lexsort(keys[::-1])]
 
 
 def _window_from_start(start: Window, entries: int) -> Window:
@@ -183,9 +183,9 @@ def _add_measurements(window: Window, measurements: Records, config: ConfigRecor
     count = known + len(measurements)
     window.measurements[known:count] = measurements
     window.status["count"], window.status["known"] = count, known
-    before = int(window.status["divergences"][0])
+    divergences = int(window.status["divergences"][0])
     process(window, _NO_ARRIVALS, _NO_RESULTS, config)
-    if window.status["divergences"][0] > before:
+    if window.status["divergences"][0] > divergences:
         raise InputError(
             f"measurements: the estimate diverges between {measurements['stamp_ns'][0]} and "
             f"{measurements['stamp_ns'][-1]} ns; leave out the source that it follows there"

@@ -33,7 +33,7 @@ class Sprockets:
     positions: tuple[float, float] | None = None  # rad, left and right
 
 
-_NONE = float("nan")
+_ABSENT = float("nan")
 UNOBSERVED = 1e6  # variance of what a planar pose does not contain
 
 
@@ -48,12 +48,16 @@ class YawRate:
     stamp_ns: int
     rate: float  # rad/s
     variance: float  # (rad/s)²
-    tilt_rates: tuple[float, float] = (_NONE, _NONE)  # about x and y, rad/s
-    tilt_variances: tuple[float, float] = (_NONE, _NONE)  # (rad/s)²
-    acceleration: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # specific force: upward at rest, m/s²
-    acceleration_variance: float = _NONE  # of each axis, (m/s²)²
-    up: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # vertical by its orientation
-    up_variances: tuple[float, float] = (_NONE, _NONE)  # of rotations about x and y, rad²; −1: none
+    tilt_rates: tuple[float, float] = (_ABSENT, _ABSENT)  # about x and y, rad/s
+    tilt_variances: tuple[float, float] = (_ABSENT, _ABSENT)  # (rad/s)²
+    acceleration: tuple[float, float, float] = (
+        _ABSENT,
+        _ABSENT,
+        _ABSENT,
+    )  # specific force: upward at rest, m/s²
+    acceleration_variance: float = _ABSENT  # of each axis, (m/s²)²
+    up: tuple[float, float, float] = (_ABSENT, _ABSENT, _ABSENT)  # vertical by its orientation
+    up_variances: tuple[float, float] = (_ABSENT, _ABSENT)  # of rotations about x and y, rad²; −1: none
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +112,7 @@ class VelocityFix:
     source: str
     stamp_ns: int
     velocity: FloatArray  # (2,) m/s
-    covariance: FloatArray  # (2, 2) (m/s)²; from ``UNOBSERVED`` on the second axis is open
+    covariance: FloatArray  # (2, 2) (m/s)²; ``UNOBSERVED`` or more: the second axis is not measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +121,8 @@ class OdometryPose:
 
     source: str
     stamp_ns: int
-    place: FloatArray  # (3,) m
-    turn: FloatArray  # (4,) quaternion x, y, z, w
+    position: FloatArray  # (3,) m
+    orientation: FloatArray  # (4,) quaternion x, y, z, w
     frame: int  # number of its odom frame; a new frame restarts the differences
     variances: FloatArray  # (2, 3) linear and angular, of twist or pose by the parameters of the source
 

@@ -121,15 +121,15 @@ class MotionState(NamedTuple):
 def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParameters) -> MotionState:
     """The state of motion after ``dt`` seconds with these mean sprocket speeds."""
     motion = _make_record(MotionRecord, MOTION, state)
-    _classify(motion, _make_record(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits))
+    update_motion(motion[0], _make_record(SpeedsRecord, SPEEDS, speeds)[0], dt, limits_record(limits)[0])
     code, changing, *remembered = motion.item(0)
     return MotionState(Motion(code), bool(changing), *remembered)
 
 
 def smoothed_speeds(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
     """``steady_speeds`` for Python."""
-    now, before = _make_record(SpeedsRecord, SPEEDS, speeds), _make_record(MotionRecord, MOTION, state)
-    left, right, variance = _steady_speeds(now, before, limits_record(limits))
+    now, motion = _make_record(SpeedsRecord, SPEEDS, speeds)[0], _make_record(MotionRecord, MOTION, state)[0]
+    left, right, variance = steady_speeds(now, motion, limits_record(limits)[0])
     return speeds._replace(left=left, right=right, variance=variance)
 
 
@@ -145,22 +145,6 @@ def _make_record(
     table = make_table(declared, dtype, 1)
     table[:] = np.array([tuple(fields)], dtype)
     return table
-
-
-@compiled
-def _classify(
-    motion: Table[MotionRecord], speeds: Table[SpeedsRecord], dt: float, limits: Table[LimitsRecord]
-) -> None:
-    """``update_motion`` as called from Python."""
-    update_motion(motion[0], speeds[0], dt, limits[0])
-
-
-@compiled
-def _steady_speeds(
-    speeds: Table[SpeedsRecord], motion: Table[MotionRecord], limits: Table[LimitsRecord]
-) -> tuple[float, float, float]:
-    """``steady_speeds`` as called from Python."""
-    return steady_speeds(speeds[0], motion[0], limits[0])
 
 
 @compiled
@@ -187,15 +171,17 @@ def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: 
         state.right_mean += slow * (speeds.right - state.right_mean)
     left, right = state.left, state.right
     fastest, mean = max(abs(left), abs(right)), (abs(left) + abs(right)) / 2.0
-    moved, turned = state.motion in (_STRAIGHT, _TURNING), state.motion == _TURNING
-    moves = fastest > limits.standing_speed * (limits.hysteresis if moved else 1.0)
-    turns = abs(right - left) > limits.turning_ratio * mean * (limits.hysteresis if turned else 1.0)
-    smooth = max(abs(left - state.left_mean), abs(right - state.right_mean))
-    still = limits.hysteresis if state.changing else 1.0
-    state.changing = smooth > limits.change_ratio * max(mean, limits.standing_speed) * still
-    state.motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
-    lately = max(abs(speeds.left - left), abs(speeds.right - right))
-    state.departure = max(lately, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean))
+    was_moving, was_turning = state.motion in (_STRAIGHT, _TURNING), state.motion == _TURNING
+    is_moving = fastest > limits.standing_speed * (limits.hysteresis if was_moving else 1.0)
+    is_turning = abs(right - left) > limits.turning_ratio * mean * (limits.hysteresis if was_turning else 1.0)
+    change = max(abs(left - state.left_mean), abs(right - state.right_mean))
+    hysteresis = limits.hysteresis if state.changing else 1.0
+    state.changing = change > limits.change_ratio * max(mean, limits.standing_speed) * hysteresis
+    state.motion = _STANDING if not is_moving else _TURNING if is_turning else _STRAIGHT
+    from_smoothed = max(abs(speeds.left - left), abs(speeds.right - right))
+    state.departure = max(
+        from_smoothed, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean)
+    )
 
 
 @compiled

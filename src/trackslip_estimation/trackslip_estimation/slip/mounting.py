@@ -71,11 +71,11 @@ def rotate_variances(R: Rotation | None, variances: Sequence[Number]) -> list[Nu
     """Diagonal of R diag(variances) Rᵀ."""
     if R is None:
         return list(variances)
-    return [_weighted_sum([share * share for share in row], variances) for row in R]
+    return [_weighted_sum([factor * factor for factor in row], variances) for row in R]
 
 
-def _weighted_sum(shares: Sequence[float], vector: Sequence[Number]) -> Number:
-    first, *rest = [share * value for share, value in zip(shares, vector, strict=True) if share != 0.0]
+def _weighted_sum(factors: Sequence[float], vector: Sequence[Number]) -> Number:
+    first, *rest = [factor * value for factor, value in zip(factors, vector, strict=True) if factor != 0.0]
     for value in rest:
         first = first + value
     return first

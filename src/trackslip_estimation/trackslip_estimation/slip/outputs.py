@@ -58,11 +58,11 @@ def fill_motion(state: State, c: Config, estimate: EstimateRecord) -> None:
 @compiled
 def _twist_and_slips(state: State, left: float, right: float, c: Config) -> FloatArray:
     """(6,) v_x, v_y, yaw rate; left slip, right slip, slip angle."""
-    found, x = np.empty(6), state.mean
+    values, x = np.empty(6), state.mean
     twist_ = body_twist(x, left, right, state, c)
-    found[0], found[1], found[2] = twist_
-    found[3:] = slips(x, twist_, left, right, c)
-    return found
+    values[0], values[1], values[2] = twist_
+    values[3:] = slips(x, twist_, left, right, c)
+    return values
 
 
 @compiled
@@ -70,23 +70,25 @@ def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
     """Fill twist and slips of a record of ``ESTIMATE``, with covariances."""
     x, P = state.mean[: c.size], state.covariance[:]
     left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
-    found = _twist_and_slips(state, left, right, c)
-    twist_ = (found[0], found[1], found[2])
+    values = _twist_and_slips(state, left, right, c)
+    twist_ = (values[0], values[1], values[2])
     J = body_jacobian(x, left, right, state, c)
     twist_covariance = predicted_covariance(P, J)
     slip_covariance = predicted_covariance(P, slips_jacobian(x, twist_, J, (left, right), c))
     if variance > 0.0:
-        e = math.sqrt(variance)
+        stddev = math.sqrt(variance)
         by_left = (
-            _twist_and_slips(state, left + e, right, c) - _twist_and_slips(state, left - e, right, c)
+            _twist_and_slips(state, left + stddev, right, c)
+            - _twist_and_slips(state, left - stddev, right, c)
         ) / 2.0
         by_right = (
-            _twist_and_slips(state, left, right + e, c) - _twist_and_slips(state, left, right - e, c)
+            _twist_and_slips(state, left, right + stddev, c)
+            - _twist_and_slips(state, left, right - stddev, c)
         ) / 2.0
         for by in (by_left, by_right):
             twist_covariance += np.outer(by[:3], by[:3])
             slip_covariance += np.outer(by[3:], by[3:])
-    estimate.twist[:], estimate.slips[:] = found[:3], found[3:]
+    estimate.twist[:], estimate.slips[:] = values[:3], values[3:]
     horizontal = horizontal_twist(x, left, right, state, c)
     for i in range(3):
         estimate.horizontal[i] = horizontal[i]

@@ -48,13 +48,13 @@ GNSS_POSE = "gnss_pose"  # topic with the lever arm of the vehicle's antenna, as
 _ANTENNA = "vehicle.sensors.antenna"
 _BOX = "vehicle.sensors.box.length"
 _BOX_POSE = "box_pose"
-_MOUNTS = {
+_MOUNTS = {  # topic → sensor of the vehicle
     _BOX_POSE: "box",
     GNSS_POSE: "antenna",
     FIX_VELOCITY: "antenna",
     "heading": "antenna",
     "imu/data_raw": "imu",
-}  # topic → sensor of the vehicle
+}
 _ENCODER = "vehicle.sensors.swing_encoder.stddev"
 
 # start → default standard deviation of the heading, rad: uniform, or along the x axis of the map
@@ -168,7 +168,8 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         if self.swings and self.model == "free_slips":
             above = ", ".join(topic for topic, source in self.mountable_sources().items() if source.above)
             raise InputError(
-                f"{NODE}: model: 'free_slips' knows no swing, and {above} sits above; accepted: turning, icr"
+                f"{NODE}: model: 'free_slips' has no swing angle, and the upper structure carries {above}; "
+                "accepted: turning, icr"
             )
         if len(self.timeouts_ns()) > TRACKS:
             raise InputError(f"{NODE}: {len(self.timeouts_ns())} sources; accepted: {TRACKS} at the most")
@@ -196,19 +197,19 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         """
         lists = {kind: checked_value(cls, kind, values[kind], where) for kind in KINDS if kind in values}
         antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
-        mounted = {
+        of_vehicle = {
             topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()
         }
         for topic in (GNSS_POSE, FIX_VELOCITY):
-            mounted[topic] |= antenna
+            of_vehicle[topic] |= antenna
         if _ENCODER not in values:  # a vehicle without swing encoder
             lists.pop(SWINGS, None)
-        mounted |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
-        mounted = {
-            topic: {key: value for key, value in stated.items() if value is not None}
-            for topic, stated in mounted.items()
+        of_vehicle |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
+        of_vehicle = {
+            topic: {key: value for key, value in settings.items() if value is not None}
+            for topic, settings in of_vehicle.items()
         }
-        return {"sources": source_groups(lists, mounted, where)}
+        return {"sources": source_groups(lists, of_vehicle, where)}
 
     @classmethod
     def overlay(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,13 +224,13 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         if above.keys().isdisjoint(KINDS):
             return values
         lists = [values.get(kind) for kind in KINDS]  # not checked yet
-        there = {
+        listed = {
             group_name(str(topic)) for topics in lists if isinstance(topics, Sequence) for topic in topics
         }
         return {
             name: value
             for name, value in values.items()
-            if name in above or not name.startswith("sources.") or name.split(".")[1] in there
+            if name in above or not name.startswith("sources.") or name.split(".")[1] in listed
         }
 
     def sources_of_kind(self, kind: str) -> dict[str, Any]:
@@ -279,8 +280,8 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         """Topic of the IMU of the attitude; None: the ground is assumed to be flat."""
         imus = self.gyros().items()
         oriented = [topic for topic, imu in imus if imu.use_orientation]
-        able = [*oriented, *(topic for topic, imu in imus if imu.use_acceleration)]
-        return able[0] if able and self.use_attitude else None
+        candidates = [*oriented, *(topic for topic, imu in imus if imu.use_acceleration)]
+        return candidates[0] if candidates and self.use_attitude else None
 
     def compasses(self) -> dict[str, HeadingSource]:
         """Topic → heading source."""
@@ -290,11 +291,8 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         """Topic of a source of headings or swing angles → standard deviation of its offset, rad."""
         compasses = {name: compass.yaw_offset_stddev for name, compass in self.compasses().items()}
         poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.has_yaw_offset}
-        return (
-            compasses
-            | poses
-            | {name: angle.yaw_offset_stddev for name, angle in self.swing_encoders().items()}
-        )
+        encoders = {name: encoder.yaw_offset_stddev for name, encoder in self.swing_encoders().items()}
+        return compasses | poses | encoders
 
     def odometries(self) -> dict[str, OdometrySource]:
         """Topic → odometry."""
@@ -330,8 +328,8 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
 
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """Initial pose (3,) x, y, heading, and its covariance (3, 3)."""
-        waits = self.start == "first_fix" and bool(self.compasses())  # for a heading source
-        yaw_stddev = math.pi if waits else self.initial_yaw_stddev or _YAW_STDDEVS[self.start]
+        is_measured = self.start == "first_fix" and bool(self.compasses())  # by a heading source
+        yaw_stddev = math.pi if is_measured else self.initial_yaw_stddev or _YAW_STDDEVS[self.start]
         deviations = (self.initial_position_stddev, self.initial_position_stddev, yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))
         return pose, np.diag(np.square(deviations))
@@ -345,7 +343,7 @@ def _is_located_by_receiver(values: Mapping[str, Any]) -> bool:
 
 
 def _receiver_defaults() -> dict[str, Any]:
-    """What ``config/gnss.yaml`` says of a receiver; of a second antenna a vehicle says nothing."""
+    """Settings of a receiver by ``config/gnss.yaml``, without its second antenna: a vehicle states none."""
     values = node_defaults(NODE, "gnss.yaml")
     of_pose = f"sources.{GNSS_POSE}."
     return {

@@ -58,7 +58,7 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
     """
     status, c = window.status[0], config[0]
     measurements, arrival = window.measurements, window.measurements[window.measurements.size - 1]
-    taken, outcome, entry, was_head_ns = 0, _WAITING, 0, NEVER_NS
+    done, outcome, entry, previous_head_ns = 0, _WAITING, 0, NEVER_NS
     while True:
         count = status.count
         first, status.known = status.known if status.started else count, count
@@ -66,15 +66,15 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
             clear(window)
             status.divergences += 1
             outcome, entry = _DIVERGED, 0
-        if taken > 0:
-            _fill_result(window, arrival, (outcome, entry), was_head_ns, results[taken - 1], c)
-        if taken == arrivals.size or (is_full(window) and not remove_settled_entries(window, c)):
-            return taken
-        was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
-        measurements[measurements.size - 1] = arrivals[taken]
+        if done > 0:
+            _fill_result(window, arrival, (outcome, entry), previous_head_ns, results[done - 1], c)
+        if done == arrivals.size or (is_full(window) and not remove_settled_entries(window, c)):
+            return done
+        previous_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
+        measurements[measurements.size - 1] = arrivals[done]
         outcome, entry = _accept(window, arrival, c)
-        results[taken].stamp_ns = arrival.stamp_ns
-        taken += 1
+        results[done].stamp_ns = arrival.stamp_ns
+        done += 1
 
 
 @inlined
@@ -93,13 +93,13 @@ def _accept(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[
 def _fill_result(
     window: Window,
     measurement: MeasurementRecord,
-    became: tuple[int, int],
-    was_head_ns: int,
+    insertion: tuple[int, int],
+    previous_head_ns: int,
     result: Result,
     c: Config,
 ) -> None:
-    """Fill the result of an arrival once all states are known; ``became``: outcome so far, entry."""
-    status, (outcome, entry) = window.status[0], became
+    """Fill the result of an arrival once all states are known; ``insertion``: outcome so far, entry."""
+    status, (outcome, entry) = window.status[0], insertion
     result.published, result.dof, result.attitude = False, 0, 0
     result.fault = 0 if outcome != _INVALID else measurement_fault(measurement, c)
     result.nis = result.gate = np.nan
@@ -109,7 +109,7 @@ def _fill_result(
         result.nis, result.gate, result.dof = update.nis, update.gate, update.dof
         result.attitude = update.attitude
     if status.started and outcome in (_ACCEPTED, _JUMPED, _RESTARTED):
-        _publish(window, entry, was_head_ns, result, c)
+        _publish(window, entry, previous_head_ns, result, c)
     result.outcome = outcome
 
 
@@ -128,13 +128,15 @@ def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     if measurement.kind != SPROCKETS:
         ahead = check_other(status.clock, c.clock, measurement.stamp_ns) == _STAMP_AHEAD
         return _AHEAD if ahead else _ACCEPTED
-    contradicts = _is_out_of_reach(window, measurement, c)
-    found = check_sample(status.clock, c.clock, measurement.stamp_ns, horizon_ns(window, c), contradicts)
-    if found == _STAMP_AHEAD:
+    is_out_of_reach = _is_out_of_reach(window, measurement, c)
+    stamp_status = check_sample(
+        status.clock, c.clock, measurement.stamp_ns, horizon_ns(window, c), is_out_of_reach
+    )
+    if stamp_status == _STAMP_AHEAD:
         return _AHEAD
-    if found == _STAMP_BEHIND:
+    if stamp_status == _STAMP_BEHIND:
         return _TOO_LATE
-    if found == _STAMP_BACK:
+    if stamp_status == _STAMP_BACK:
         clear(window)
         status.restarts += 1
         status.clock.running = False
@@ -184,10 +186,10 @@ def _insert_measurement(window: Window, measurement: MeasurementRecord, c: Confi
 
 
 @inlined
-def _publish(window: Window, entry: int, was_head_ns: int, result: Result, c: Config) -> None:
+def _publish(window: Window, entry: int, previous_head_ns: int, result: Result, c: Config) -> None:
     """Set ``published`` for the newest sprocket sample, or for a measurement that advances the clock."""
     status, measurement = window.status[0], window.measurements[entry]
-    advances_clock = was_head_ns < status.clock.head_ns == measurement.stamp_ns
+    advances_clock = previous_head_ns < status.clock.head_ns == measurement.stamp_ns
     if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or advances_clock):
         return
     status.published_ns, result.published = measurement.stamp_ns, True

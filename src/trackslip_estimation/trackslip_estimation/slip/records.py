@@ -54,7 +54,7 @@ class MeasurementRecord(Record):
         FloatArray, 3
     ]  # z of the other kinds: rad/s about z, x, y; m, m, rad; left and right slip; rad; m/s, m/s
     noise: Annotated[FloatArray, (3, 3)]  # R as stated by the source; of odometry, variances in two rows
-    turn: Annotated[FloatArray, 4]  # attitude of odometry, whose value is a position: quaternion x, y, z, w
+    orientation: Annotated[FloatArray, 4]  # of odometry, whose value is a position: quaternion x, y, z, w
     frame: int  # number of the odom frame
     altitude: float  # of a pose, m
     altitude_variance: float  # m²
@@ -109,7 +109,7 @@ class Adaptation(Record):
     envelope: float  # E, (m/s)²
     exposure: float  # T, (rad/s)²
     elapsed: float  # s since the last yaw rate
-    speed_exposure: float  # of m_v, over f² s²/4, since the last odometry, (m/s)²
+    speed_exposure: float  # variance of m_v, over (forward s)²/4, since the last odometry, (m/s)²
     speed_elapsed: float  # s since then
     left_speed: float  # of the sprockets in the interval before, rad/s
     right_speed: float
@@ -123,24 +123,24 @@ ADAPTATION = dtype_of(Adaptation)
 
 
 class OdometryRecord(Record):
-    """Odometry of a source at the begin of its next increment."""
+    """Odometry of a source at the start of its next increment."""
 
     known: bool
     coasting: bool  # whether the sprockets had timed out
     frame: int
-    place: Annotated[FloatArray, 3]
-    turn: Annotated[FloatArray, 4]
+    position: Annotated[FloatArray, 3]
+    orientation: Annotated[FloatArray, 4]
     noise: Annotated[FloatArray, (3, 3)]
     integrated_twist: Annotated[FloatArray, 3]  # ∫ twist of the state at this time
     errors: Annotated[FloatArray, 2]  # variances of the velocity errors at this time, (m/s)², (rad/s)²
     slip_weight: float  # inverse variance of the error of i₀ by recent increments
     slip_sum: float  # error of i₀ times its weight
-    slip_distance: float  # track distance since i₀ is wrong, m
-    slip_ns: int  # stamp since when i₀ is wrong
+    slip_distance: float  # track distance since i₀ became wrong, m
+    slip_ns: int  # stamp at which i₀ became wrong
 
 
 class Standstill(Record):
-    """Fixes of a source since the machine is at standstill, and the swing angle there, rad."""
+    """Number of fixes of a source in a standstill of the machine, and the swing angle there, rad."""
 
     count: int
     swing: float
@@ -387,6 +387,6 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
             record["value"][:2], record["noise"][:2, :2] = m.velocity, m.covariance
         elif isinstance(m, OdometryPose):
             record["kind"], record["source"] = ODOMETRY, sources[m.source]
-            record["value"], record["turn"], record["frame"] = m.place, m.turn, m.frame
+            record["value"], record["orientation"], record["frame"] = m.position, m.orientation, m.frame
             record["noise"][:2] = m.variances
     return records

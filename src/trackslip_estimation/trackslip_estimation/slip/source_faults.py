@@ -144,8 +144,8 @@ def _log_density_of_heading(m: MeasurementRecord, o: Observation, predicted: Flo
     if c.yaw_offsets[m.source] < 0:
         return -_LOG_TWO_PI
     S = predicted[YAW, YAW] + o.noise[YAW, YAW]
-    right = math.exp(-(o.innovation[YAW] ** 2) / (2.0 * S)) / math.sqrt(2.0 * math.pi * S)
-    return math.log((right + 1.0 / (2.0 * math.pi)) / 2.0)
+    correct = math.exp(-(o.innovation[YAW] ** 2) / (2.0 * S)) / math.sqrt(2.0 * math.pi * S)
+    return math.log((correct + 1.0 / (2.0 * math.pi)) / 2.0)
 
 
 @compiled
@@ -159,8 +159,8 @@ def log_density_of_scatter(m: MeasurementRecord, o: Observation, predicted: Floa
     if m.kind != POSE:
         return -_LOG_TWO_PI
     squared = o.innovation[X] ** 2 + o.innovation[Y] ** 2
-    place = log_density_of_any_size(squared, c) if squared > _AREA else -math.log(_AREA)
-    return place + _log_density_of_heading(m, o, predicted, c)
+    of_position = log_density_of_any_size(squared, c) if squared > _AREA else -math.log(_AREA)
+    return of_position + _log_density_of_heading(m, o, predicted, c)
 
 
 @compiled
@@ -176,14 +176,14 @@ def can_be_repetition(update: Update, c: Config) -> bool:
 
 
 @compiled
-def weigh_repeat(m: int, stays: bool, c: Config, update: Update) -> None:
-    """Set the evidence of a source that repeats its fix, or ``stays``, from the distance to its previous fix.
+def weigh_repeat(m: int, is_staying: bool, c: Config, update: Update) -> None:
+    """Set the evidence of a source that repeats its fix, or stays, from the distance to its previous fix.
 
     A source that stays and jitters cannot be distinguished from a machine that is stuck. Such a fix is
     *tied*: it gets the likelihood of the most probable branch that may use it (``bank.rows``).
     """
     limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
-    if stays:
+    if is_staying:
         update.tied, stddev = int(can_be_repetition(update, c)), math.sqrt(2.0) * update.stated
     update.dof, update.gate, update.nis = YAW, limit, update.squared_repeat_distance / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit

@@ -26,7 +26,7 @@ from trackslip_estimation.kalman.single_state import (
     replace_prior_variance,
     replace_state,
 )
-from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, same_quality
+from trackslip_estimation.slip.correlated_errors import PRECISE, is_same_quality, quality_of
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def pose_source_number(source: int, c: Config) -> int:
 
 @compiled
 def latest_pose_source(state: State, c: Config) -> int:
-    """Number of the pose source that was consistent most recently; 0 without pose sources."""
+    """The pose source that was consistent most recently; 0 without pose sources."""
     latest = -1
     for k in range(c.offsets.size):
         if pose_source_number(k, c) >= 0 and (
@@ -73,8 +73,8 @@ def has_mostly_correlated_errors(state: State, source: int, c: Config) -> bool:
     if number < 0:
         return False
     offset = state.offsets[number]
-    found, is_precise = error_model(offset, c), quality_of(offset.stddev, c) == PRECISE
-    return bool(offset.variance > 0.0 and not is_precise and found.g > found.f)
+    errors, is_precise = error_model(offset, c), quality_of(offset.stddev, c) == PRECISE
+    return bool(offset.variance > 0.0 and not is_precise and errors.g > errors.f)
 
 
 @compiled
@@ -83,17 +83,17 @@ def time_correlated_share(state: State, source: int, c: Config) -> float:
     number = pose_source_number(source, c)
     if number < 0 or has_position_dependent_errors(source, c):
         return 0.0
-    found = error_model(state.offsets[number], c)
-    if found.g > 0.0:
-        return float(found.g / (found.g + found.f))
-    least = 1.0 - found.f if _are_observed(found, c) else 1.0  # stated variance less the white errors
+    errors = error_model(state.offsets[number], c)
+    if errors.g > 0.0:
+        return float(errors.g / (errors.g + errors.f))
+    least = 1.0 - errors.f if _are_observed(errors, c) else 1.0  # stated variance less the white errors
     return float(min(max(least, 0.0), c.receivers.most_correlated))
 
 
 @compiled
-def _are_observed(found: FixErrors, c: Config) -> bool:
+def _are_observed(errors: FixErrors, c: Config) -> bool:
     """Whether fixes were observed for several correlation times."""
-    return bool(found.observed >= c.receivers.observed * found.time)
+    return bool(errors.observed >= c.receivers.observed * errors.time)
 
 
 @compiled
@@ -119,22 +119,19 @@ def prepare_offset(
     A change of quality (ambiguities fixed, floating, code only) resets the offset. Else the prior variance
     becomes that of the point masses; white errors have none. An offset that an event opened stays.
     """
-    offset, first, stddev = (
-        state.offsets[pose_source_number(source, c)],
-        c.offsets[source],
-        position_stddev(R),
-    )
+    offset, first = state.offsets[pose_source_number(source, c)], c.offsets[source]
+    stddev = position_stddev(R)
     if is_open:
         offset.stddev = stddev
         return
-    other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev, c)
+    changes_quality = offset.stddev > 0.0 and not is_same_quality(stddev, offset.stddev, c)
     target = offset.errors[quality_of(stddev, c)].g * stddev * stddev
-    if other or (target > 0.0) != (offset.variance > 0.0):
+    if changes_quality or (target > 0.0) != (offset.variance > 0.0):
         update.reset_states |= 3 << first
-        begins = target > 0.0 and not other and offset.stddev > 0.0
+        is_new = target > 0.0 and not changes_quality and offset.stddev > 0.0
         _reset_offset(state.mean, state.covariance, first, target)
         _reset_offset(prior.mean, prior.covariance, first, target)
-        if begins:  # so far the position contained it
+        if is_new:  # so far the position contained it
             to_measured_position(state.mean, state.covariance, source, -1.0, c)
             to_measured_position(prior.mean, prior.covariance, source, -1.0, c)
     elif target > 0.0:
@@ -172,14 +169,14 @@ def propagate_offsets(state: State, dt: float, c: Config) -> None:
     for number in range(c.poses):
         offset, first = state.offsets[number], SENSOR_ERRORS + 2 * number
         if offset.variance > 0.0:
-            left = offset_persistence(state, number, dt, c)
+            share = offset_persistence(state, number, dt, c)
             for k in (first, first + 1):
-                decay_state(x, P, k, left, offset.variance)
+                decay_state(x, P, k, share, offset.variance)
         elif offset.errors[PRECISE].g > 0.0 and 0.0 < offset.stddev <= c.receivers.precise:
-            found = offset.errors[PRECISE]
-            left = math.exp(-dt / found.time)
+            errors = offset.errors[PRECISE]
+            share = math.exp(-dt / errors.time)
             for k in (first, first + 1):
-                P[k, k] += (1.0 - left * left) * found.g * offset.stddev**2
+                P[k, k] += (1.0 - share * share) * errors.g * offset.stddev**2
 
 
 @compiled
@@ -191,24 +188,22 @@ def set_offset_transition(F: FloatArray, state: State, dt: float, c: Config) -> 
 
 
 @compiled
-def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c: Config) -> None:
-    """Inflate the offset of a source in P by ``more`` (2,), m², up to ``largest_inflation``."""
-    first, most = (
-        c.offsets[source],
-        c.receivers.largest_inflation * state.offsets[pose_source_number(source, c)].variance,
-    )
+def inflate_offset(state: State, P: FloatArray, source: int, inflation: FloatArray, c: Config) -> None:
+    """Inflate the offset of a source in P by ``inflation`` (2,), m², up to ``largest_inflation``."""
+    first, offset = c.offsets[source], state.offsets[pose_source_number(source, c)]
+    largest = c.receivers.largest_inflation * offset.variance
     for axis in (X, Y):
         k = first + axis
-        P[k, k] += max(min(more[axis], most - P[k, k]), 0.0)
+        P[k, k] += max(min(inflation[axis], largest - P[k, k]), 0.0)
 
 
 @compiled
 def to_sensor_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
     """Transform the heading into that of a source with a yaw offset (1), or back (−1); in place."""
-    first = c.yaw_offsets[source]
-    if first >= 0:
-        x[YAW] = wrap(x[YAW] + sign * x[first])
-        add_state(P, YAW, first, sign)
+    index = c.yaw_offsets[source]
+    if index >= 0:
+        x[YAW] = wrap(x[YAW] + sign * x[index])
+        add_state(P, YAW, index, sign)
 
 
 @compiled
@@ -224,13 +219,13 @@ def begin_offset(state: State, source: int, c: Config) -> None:
     x, P, offset = state.mean, state.covariance, state.offsets[pose_source_number(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
     stddev = position_stddev(R)
-    found = offset.errors[quality_of(stddev, c)]
-    if found.g == 0.0:
+    errors = offset.errors[quality_of(stddev, c)]
+    if errors.g == 0.0:
         return
     offset.stddev = stddev
-    offset.variance = found.g * stddev**2
+    offset.variance = errors.g * stddev**2
     _reset_offset(x, P, c.offsets[source], offset.variance)
-    P[: Y + 1, : Y + 1] = found.f * R
+    P[: Y + 1, : Y + 1] = errors.f * R
     to_measured_position(x, P, source, -1.0, c)
 
 

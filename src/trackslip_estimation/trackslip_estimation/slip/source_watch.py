@@ -63,7 +63,7 @@ class SourceWatch:
 
     def innovations(self, now_ns: int) -> dict[str, str]:
         """Source → text: mean d² over the last ``_WINDOW_NS``, and its bounds if consistent."""
-        found = {}
+        texts = {}
         for source, reports in sorted(self._innovations.items()):
             while reports and reports[0].stamp_ns < now_ns - _WINDOW_NS:
                 reports.popleft()
@@ -71,5 +71,5 @@ class SourceWatch:
                 dof, n = sum(r.dof for r in reports), len(reports)
                 low, high = (bound / n for bound in chi_square.confidence_interval(dof))
                 mean = sum(r.nis for r in reports) / n
-                found[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if consistent), n {n}"
-        return found
+                texts[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if consistent), n {n}"
+        return texts

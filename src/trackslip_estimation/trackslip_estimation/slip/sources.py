@@ -341,10 +341,10 @@ def source_groups(
         for topic in nonempty_names(lists.get(kind, ())):
             name = group_name(topic)
             if name in groups:
-                both = (
+                conflict = (
                     "one is named twice" if topics[name] == topic else f"'{topics[name]}' has the same name"
                 )
-                raise InputError(f"{where}: {kind}: '{topic}': {both}; accepted: each once")
+                raise InputError(f"{where}: {kind}: '{topic}': {conflict}; accepted: each once")
             defaults = {**_defaults()[kind], **mounted.get(topic, {})}
             topics[name], groups[name] = topic, Group(KINDS[kind], defaults)
     return groups

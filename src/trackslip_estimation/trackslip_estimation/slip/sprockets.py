@@ -40,17 +40,17 @@ if TYPE_CHECKING:
 def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> int:
     """Set ``state.speeds`` to the mean speeds up to ``stamp_ns``; returns the end of the known speeds.
 
-    An earlier stamp than ``stamp_ns`` is the begin of silence.
+    An earlier stamp than ``stamp_ns`` is the start of silence.
     """
     sample, speeds = state.sample, state.speeds
     state.time_since_sample = 0.0
     if state.fault[TRACKS] == IS_FAILED:
         return NEVER_NS
-    closed = closing.kind == SPROCKETS
+    is_sample = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start
-        in_time = closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
-        return stamp_ns if in_time and set_interval_speeds(sample, closing, c, speeds) else NEVER_NS
-    if closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns:
+        is_in_time = is_sample and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
+        return stamp_ns if is_in_time and set_interval_speeds(sample, closing, c, speeds) else NEVER_NS
+    if is_sample and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns:
         return stamp_ns if set_interval_speeds(sample, closing, c, speeds) else sample.stamp_ns
     if not sample.known:
         return int(sample.stamp_ns)
@@ -66,8 +66,8 @@ def set_interval_speeds(
 ) -> bool:
     """Set ``speeds`` to the mean speeds between ``sample`` and ``closing``; return whether they are known."""
     left, right, dt = _encoder_speeds(sample, closing, c)
-    a_count = c.encoder_resolution / dt if dt > 0.0 else 0.0
-    if max(abs(left), abs(right)) > c.max_sprocket_speed + a_count:
+    one_count = c.encoder_resolution / dt if dt > 0.0 else 0.0
+    if max(abs(left), abs(right)) > c.max_sprocket_speed + one_count:
         return False
     speeds.left, speeds.right, speeds.variance, speeds.angle_variance = left, right, 0.0, 0.0
     if dt > 0.0:
@@ -111,8 +111,8 @@ def is_continuous(sample: SprocketSample, closing: MeasurementRecord, c: Config)
 @compiled
 def has_position_jump(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
     """Whether the positions of a sample within the timeout are not continuous with the previous ones."""
-    in_time = has_angles(sample, closing) and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
-    return in_time and not is_continuous(sample, closing, c)
+    is_in_time = has_angles(sample, closing) and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
+    return is_in_time and not is_continuous(sample, closing, c)
 
 
 @compiled

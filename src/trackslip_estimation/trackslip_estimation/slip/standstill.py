@@ -34,10 +34,11 @@ _LARGEST_SWING = 0.1  # rad of swing, beyond which a sensor on the upper structu
 @compiled
 def is_at_same_standstill(state: State, source: int, c: Config) -> bool:
     """Whether a source with position-dependent errors has not moved since its latest fix."""
-    standstill, shares = state.standstills[source], has_position_dependent_errors(source, c)
-    turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _LARGEST_SWING
-    is_standing = shares and state.motion.motion == _STANDING and not state.coasting
-    return bool(is_standing and standstill.count > 0 and not turned)
+    standstill = state.standstills[source]
+    has_swung = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _LARGEST_SWING
+    if not has_position_dependent_errors(source, c) or has_swung or standstill.count == 0:
+        return False
+    return bool(state.motion.motion == _STANDING and not state.coasting)
 
 
 @compiled
@@ -54,6 +55,6 @@ def inflate_repeated_fix(state: State, source: int, is_independent: bool, R: Flo
     if is_independent:
         standstill.count, standstill.swing = 0, state.mean[SWING]
     standstill.count += 1
-    again = np.sqrt(standstill_inflation(standstill.count, c.standing_share[source]))
-    R[:YAW] *= again
-    R[:, :YAW] *= again
+    scale = np.sqrt(standstill_inflation(standstill.count, c.standing_share[source]))
+    R[:YAW] *= scale
+    R[:, :YAW] *= scale

@@ -46,10 +46,12 @@ _HEADER = """\
 
 def state_text(learned: Learned, context: LearnedContext, written_s: float) -> str:
     """Text of the state file; ``written_s``: seconds since 1970."""
-    words = [f"#   {line}\n" for line in quantity_lines(learned_quantities(learned, context))]
+    comments = [f"#   {line}\n" for line in quantity_lines(learned_quantities(learned, context))]
     written = datetime.fromtimestamp(written_s, timezone.utc).isoformat()
     tree = {"version": _VERSION, "written": written, **to_tree(learned, context)}
-    body = _HEADER + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=95)
+    body = (
+        _HEADER + "".join(comments) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=95)
+    )
     body = body.rstrip("\n")
     return f"{body}{CHECKSUM}{digest(body)}\n"
 
@@ -60,8 +62,8 @@ def parse_state(text: str, context: LearnedContext) -> tuple[Learned, float]:
     Raises:
         InputError: the text is not an unchanged output of ``state_text``, or is of another machine.
     """
-    body, sign, checksum = text.rpartition(CHECKSUM)
-    if not sign or checksum.strip() != digest(body):
+    body, separator, checksum = text.rpartition(CHECKSUM)
+    if not separator or checksum.strip() != digest(body):
         raise InputError("its checksum is wrong: it was edited or truncated")
     tree: Any = parse_yaml(body, "state file")
     if not isinstance(tree, dict) or tree.get("version") != _VERSION:
@@ -83,8 +85,8 @@ class StateFile:
             InputError: the home directory is unknown.
         """
         self._path = parameter_path("state_file", path)
-        self._is_foreign = False  # whether the existing file was not used
-        self._other = ""  # machine of that file, if known
+        self._is_unused = False  # whether the existing file was not used
+        self._other_machine = ""  # machine of that file, if known
         self._damaged: Path | None = None  # file of this machine under its digest, if invalid
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -101,23 +103,23 @@ class StateFile:
         """Read the learned values, decayed to now; None if no file is usable, see ``note``."""
         if self._path is None:
             return None
-        self._is_foreign, self._other, self._damaged, self.used = False, "", None, True
+        self._is_unused, self._other_machine, self._damaged, self.used = False, "", None, True
         try:
             if self._path.exists():
                 return self._read_decayed(self._path, context)
             self.note = f"no learned values: there is no file {self._path}"
         except (InputError, OSError) as error:
-            self._is_foreign = True
-            self._other = error.machine if isinstance(error, OtherMachineError) else ""
+            self._is_unused = True
+            self._other_machine = error.machine if isinstance(error, OtherMachineError) else ""
             self.note = _rejection_text(self._path, error)
         aside = _path_for_machine(self._path, context.machine)
-        if (self._other or not self._is_foreign) and aside.exists():
+        if (self._other_machine or not self._is_unused) and aside.exists():
             try:
                 return self._read_decayed(aside, context)
             except (InputError, OSError) as error:
                 self._damaged = aside
                 self.note += f"; {_rejection_text(aside, error)}"
-        self.used = not self._is_foreign and self._damaged is None
+        self.used = not self._is_unused and self._damaged is None
         return None
 
     def _read_decayed(self, path: Path, context: LearnedContext) -> Learned:
@@ -129,10 +131,10 @@ class StateFile:
         """
         learned, written_s = parse_state(_read_text(path), context)
         age_s = time.time() - written_s
-        known = _EARLIEST < age_s < _OLDEST
-        age = _age_text(max(age_s, 0.0)) if known else "at an unknown time"
+        is_plausible = _EARLIEST < age_s < _OLDEST
+        age = _age_text(max(age_s, 0.0)) if is_plausible else "at an unknown time"
         self.note = f"starts from values learned {age} ({path})"
-        return decay_to_prior(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, context)
+        return decay_to_prior(learned, max(age_s, 0.0) if is_plausible else _UNKNOWN_AGE, context)
 
     def write(self, learned: Learned | None, context: LearnedContext) -> None:
         """Start writing; count a failure if the previous write is still running."""
@@ -189,11 +191,13 @@ class StateFile:
         if self._damaged is not None:
             move_aside(self._damaged)
             self._damaged = None
-        if self._is_foreign and self._other and path.exists():
-            path.replace(_path_for_machine(path, self._other))  # replaces an older file of that machine
-        elif self._is_foreign:
+        if self._is_unused and self._other_machine and path.exists():
+            path.replace(
+                _path_for_machine(path, self._other_machine)
+            )  # replaces an older file of that machine
+        elif self._is_unused:
             move_aside(path)
-        self._is_foreign = False
+        self._is_unused = False
 
     def _count_failure(self, reason: str) -> None:
         with self._lock:

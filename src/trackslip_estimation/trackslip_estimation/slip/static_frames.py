@@ -30,11 +30,11 @@ class StaticFrames:
 
     def angles(self, base: str, frame: str) -> tuple[float, float, float] | None:
         """Roll, pitch and yaw (ZYX) of ``frame`` in ``base``, rad; None: not connected."""
-        to_base, to_frame = dict(self._ancestors(base)), dict(self._ancestors(frame))
-        common = next((name for name in to_frame if name in to_base), None)
+        from_base, from_frame = dict(self._ancestors(base)), dict(self._ancestors(frame))
+        common = next((name for name in from_frame if name in from_base), None)
         if common is None:
             return None
-        q = _product(_conjugate(to_base[common]), to_frame[common])
+        q = _product(_conjugate(from_base[common]), from_frame[common])
         x, y, z, w = q.tolist()
         sine = 2.0 * (w * y - z * x)
         if abs(sine) > 1.0 - 1e-12:  # yaw and roll turn about one axis

@@ -114,10 +114,10 @@ def step(
 @inlined
 def _correct_height(state: State, update: Update, prior: Prior) -> None:
     """Correct the height by a correction of the position, but for an initial or a reset position."""
-    jumped = update.reset_states & ((1 << X) | (1 << Y)) != 0
+    is_reset = update.reset_states & ((1 << X) | (1 << Y)) != 0
     if (
         update.follows
-        and not jumped
+        and not is_reset
         and update.outcome == _ACCEPTED
         and state.track_distance > _LEAST_DISTANCE
     ):
@@ -146,8 +146,8 @@ def propagate_with_sprockets(state: State, closing: MeasurementRecord, stamp_ns:
         state.coasting, reached_ns = False, known_ns
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
-        ends = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
-        if ends and state.fault[TRACKS] != IS_FAILED:
+        closes_interval = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
+        if closes_interval and state.fault[TRACKS] != IS_FAILED:
             set_interval_speeds(state.sample, closing, c, state.speeds)
     state.stamp_ns = stamp_ns
 
@@ -176,10 +176,10 @@ def coast(state: State, dt: float, c: Config) -> None:
 @compiled
 def limit_heading(state: State) -> None:
     """Limit the variance of the heading to that of a uniform angle, on the circle or a sector; in place."""
-    P, most = state.covariance, UNKNOWN_HEADING if state.is_sector else ANY_HEADING
-    if P[YAW, YAW] <= most * most:
+    P, largest = state.covariance, UNKNOWN_HEADING if state.is_sector else ANY_HEADING
+    if P[YAW, YAW] <= largest * largest:
         return
-    share = most / math.sqrt(P[YAW, YAW])
+    share = largest / math.sqrt(P[YAW, YAW])
     for j in range(SIZE):
         P[YAW, j] *= share
     for j in range(SIZE):
@@ -223,8 +223,8 @@ def propagate(state: State, dt: float, c: Config) -> None:
             propagate_swing_covariance(P, F)
         propagate_covariance(P, F, Q, COUPLED)
     else:
-        used = P[: x.size, : x.size].copy()
-        points, weights = daf.sigma_points(x, used, c.kappa, c.active)
+        covariance = P[: x.size, : x.size].copy()
+        points, weights = daf.sigma_points(x, covariance, c.kappa, c.active)
         for i in range(weights.size):
             points[i] = propagate_mean(points[i], state, dt, c)
         mean, departures, weights = daf.moments(points, weights, YAW)

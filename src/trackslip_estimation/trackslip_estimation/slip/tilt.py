@@ -113,16 +113,16 @@ def fill_tilt(state: State, estimate: EstimateRecord) -> None:
         tilt.force[:], tilt.force_variance = 0.0, 0.0
         estimate.rise, estimate.rise_variance = 0.0, 0.0
         return
-    force, feels = specific_force(a.sample), has_force(a.sample)
+    force, has_acceleration = specific_force(a.sample), has_force(a.sample)
     for i in range(3):
         variance = a.sample.rate_variances[i]
         tilt.tilt[i], tilt.rates[i] = a.mean[ROLL + i], a.rates[i]
         tilt.rate_variances[i] = variance if 0.0 <= variance < UNOBSERVED else UNOBSERVED
-        tilt.force[i] = force[i] if feels else 0.0
+        tilt.force[i] = force[i] if has_acceleration else 0.0
         for j in range(3):
             tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
     tilt.covariance[HEIGHT, HEIGHT] += _height_variance_by_position(state)
-    tilt.force_variance = a.sample.force_variance if feels else UNOBSERVED
+    tilt.force_variance = a.sample.force_variance if has_acceleration else UNOBSERVED
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
     estimate.rise = climb_rate(a.mean, v_x, v_y)
     estimate.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]

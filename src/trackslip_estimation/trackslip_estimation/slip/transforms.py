@@ -29,19 +29,19 @@ def blank_transforms(make: MessageFactory, frames: Frames) -> Any:
 def fill_transforms(message: Any, estimate: Estimate, local: Estimate) -> None:
     """Fill the message with an estimate and its pose in odom."""
     turn = estimate.pose[2] - local.pose[2]
-    level = (0.0, 0.0, 0.0)
-    roll, pitch, height = level if local.outputs.tilt is None else local.outputs.tilt.tilt.tolist()
-    _, _, above = level if estimate.outputs.tilt is None else estimate.outputs.tilt.tilt.tolist()
+    flat = (0.0, 0.0, 0.0)
+    roll, pitch, height = flat if local.outputs.tilt is None else local.outputs.tilt.tilt.tolist()
+    _, _, map_height = flat if estimate.outputs.tilt is None else estimate.outputs.tilt.tilt.tolist()
     c, s = math.cos(turn), math.sin(turn)
     x, y, _ = local.pose
     map_odom = np.array((estimate.pose[0] - c * x + s * y, estimate.pose[1] - s * x - c * y, turn))
-    of_odom, of_base = message.transforms
-    _fill(of_odom, estimate.stamp_ns, map_odom, (0.0, 0.0, above - height))
-    _fill(of_base, estimate.stamp_ns, local.pose, (roll, pitch, height))
+    to_odom, to_base = message.transforms
+    _fill(to_odom, estimate.stamp_ns, map_odom, (0.0, 0.0, map_height - height))
+    _fill(to_base, estimate.stamp_ns, local.pose, (roll, pitch, height))
 
 
 def _fill(message: Any, stamp_ns: int, pose: FloatArray, tilt: tuple[float, float, float]) -> None:
-    """geometry_msgs/TransformStamped of (3,) x, y, heading, and of roll, pitch, height."""
+    """Fill a geometry_msgs/TransformStamped with (3,) x, y, heading, and with roll, pitch, height."""
     set_stamp(message, stamp_ns)
     translation, rotation = message.transform.translation, message.transform.rotation
     x, y, heading = pose.tolist()

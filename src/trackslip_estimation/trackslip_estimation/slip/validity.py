@@ -87,8 +87,8 @@ def measurement_fault(measurement: MeasurementRecord, c: Config) -> int:
 @compiled
 def rows_of_velocity(measurement: MeasurementRecord, c: Config) -> int:
     """Rows of a velocity: 2, or 1 of a sensor in machine axes that does not measure the second axis."""
-    one = c.body_axes[measurement.source] == 1 and measurement.noise[1, 1] >= UNOBSERVED
-    return 1 if one else 2
+    is_one_axis = c.body_axes[measurement.source] == 1 and measurement.noise[1, 1] >= UNOBSERVED
+    return 1 if is_one_axis else 2
 
 
 @compiled
@@ -173,7 +173,7 @@ def _odometry_fault(measurement: MeasurementRecord) -> int:
         if fault > 0:
             return fault
     for k in range(4):
-        norm += measurement.turn[k] ** 2
+        norm += measurement.orientation[k] ** 2
     return 0 if abs(norm - 1.0) < _UNIT else _NO_ROTATION
 
 
@@ -187,15 +187,15 @@ def _covariance_fault(R: FloatArray, rows: int, largest: float) -> int:
     C = np.eye(3)
     for i in range(rows):
         for j in range(i):
-            deviations = math.sqrt(R[i, i]) * math.sqrt(R[j, j])
-            C[i, j], C[j, i] = R[i, j] / deviations, R[j, i] / deviations
+            product = math.sqrt(R[i, i]) * math.sqrt(R[j, j])
+            C[i, j], C[j, i] = R[i, j] / product, R[j, i] / product
             if not math.isfinite(C[i, j] + C[j, i]):
                 return _NOT_FINITE
             if abs(C[i, j] - C[j, i]) > _ROUNDING:
                 return _INDEFINITE
-    second = 1.0 - C[1, 0] ** 2
-    determinant = second - C[2, 0] ** 2 - C[2, 1] ** 2 + 2.0 * C[1, 0] * C[2, 0] * C[2, 1]
-    largest_pair = max(abs(C[1, 0]), max(abs(C[2, 0]), abs(C[2, 1])))
-    if largest_pair > 1.0 + _ROUNDING or determinant < -_ROUNDING:
+    minor = 1.0 - C[1, 0] ** 2
+    determinant = minor - C[2, 0] ** 2 - C[2, 1] ** 2 + 2.0 * C[1, 0] * C[2, 0] * C[2, 1]
+    largest_correlation = max(abs(C[1, 0]), max(abs(C[2, 0]), abs(C[2, 1])))
+    if largest_correlation > 1.0 + _ROUNDING or determinant < -_ROUNDING:
         return _INDEFINITE
-    return 0 if second >= _SINGULAR and determinant >= _SINGULAR * second else _NEARLY_SINGULAR
+    return 0 if minor >= _SINGULAR and determinant >= _SINGULAR * minor else _NEARLY_SINGULAR

@@ -43,14 +43,14 @@ class Wander(Record):
     variance: float  # of p, m²
     covariance: float  # of p and v, m²/s
     speed_variance: float  # (m/s)²
-    reckoned: float  # variance by axis of the position predicted for the previous fix, m²
+    predicted_variance: float  # variance by axis of the position predicted for the previous fix, m²
 
 
 @compiled
 def begin_wander(wander: Wander, P: FloatArray, c: Config) -> None:
     """Initialise the offset of a receiver whose fixes agreed so far with a state of covariance P."""
     wander.east = wander.north = wander.east_speed = wander.north_speed = wander.covariance = 0.0
-    wander.variance = wander.reckoned = (P[X, X] + P[Y, Y]) / 2.0
+    wander.variance = wander.predicted_variance = (P[X, X] + P[Y, Y]) / 2.0
     wander.speed_variance = c.events.wander_speed**2 / 4.0
 
 
@@ -63,9 +63,9 @@ def weigh_wander(
     ``predicted``: H P Hᵀ (m, m).
     """
     _propagate(wander, dt, c)
-    reckoned = (predicted[X, X] + predicted[Y, Y]) / 2.0
-    wander.variance += max(reckoned - wander.reckoned, 0.0)
-    wander.reckoned = reckoned
+    predicted_variance = (predicted[X, X] + predicted[Y, Y]) / 2.0
+    wander.variance += max(predicted_variance - wander.predicted_variance, 0.0)
+    wander.predicted_variance = predicted_variance
     S = wander.variance + (o.noise[X, X] + o.noise[Y, Y]) / 2.0
     gain, speed_gain = wander.variance / S, wander.covariance / S
     east, north = o.innovation[X] - wander.east, o.innovation[Y] - wander.north
@@ -88,9 +88,9 @@ def _propagate(wander: Wander, dt: float, c: Config) -> None:
     """Propagate p, v and P by ``dt`` s."""
     wander.east += wander.east_speed * dt
     wander.north += wander.north_speed * dt
-    known = RateCovariance(wander.variance, wander.covariance, wander.speed_variance)
+    before = RateCovariance(wander.variance, wander.covariance, wander.speed_variance)
     wander.variance, wander.covariance, wander.speed_variance = propagate_rate_covariance(
-        known, dt, c.events.wander_walk
+        before, dt, c.events.wander_walk
     )
 
 

@@ -119,13 +119,13 @@ def weigh_and_update(
         return
     since_ns = measurement.stamp_ns - state.consistent_ns[source]
     inflation = correlated_inflation(since_ns, c.repeat_times[source])
-    R, used, is_independent = _weigh(state, measurement, o, predicted, log_outlier, c, update)
+    R, is_used, is_independent = _weigh(state, measurement, o, predicted, log_outlier, c, update)
     if kind in (HEADING, ON_SWING):
         uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
         update.evidence -= uncounted * max(_log_density(update) - log_outlier, 0.0)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _set_whitened_innovation(state, o.innovation, predicted + R, update)
-    if not used:
+    if not is_used:
         return
     if kind == POSE and is_trusted(fault, POSE) and update.nis <= update.gate:
         _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
@@ -137,7 +137,9 @@ def weigh_and_update(
     if kind == POSE:
         R *= min(inflation, largest_correlated_inflation(predicted, R))
         inflate_repeated_fix(state, source, is_independent, R, c)
-    _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
+    _correct(
+        state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.cross_covariance), c
+    )
     if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
         update.outcome = _GATED
 
@@ -154,7 +156,9 @@ def _update_heading_only(
         return
     update.evidence -= (nis + math.log(S) + _LOG_TWO_PI) / 2.0
     R, x = o.noise[YAW:, YAW:].copy(), state.mean[: c.size]
-    heading = Observation(o.innovation[YAW:].copy(), o.jacobian[YAW:].copy(), R, o.considered, 0, o.shared)
+    heading = Observation(
+        o.innovation[YAW:].copy(), o.jacobian[YAW:].copy(), R, o.considered, 0, o.cross_covariance
+    )
     correct(x, state.covariance[:], heading)
     x[YAW] = wrap(x[YAW])
 
@@ -181,13 +185,13 @@ def observe_weighed(state: State, measurement: MeasurementRecord, c: Config) -> 
 def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Config) -> None:
     """Update the state; a correction of its heading keeps the position of the sensor ``_pivot_source``."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    about = _pivot_source(state, measurement, c)
-    if about < 0:
+    pivot = _pivot_source(state, measurement, c)
+    if pivot < 0:
         correct(x, P, o)
     else:
-        before, place = x.copy(), lever(x, level, about, c)
+        before, arm = x.copy(), lever(x, level, pivot, c)
         correct(x, P, o)
-        turn_about_sensor(x, P, before, place, level, about, c)
+        turn_about_sensor(x, P, before, arm, level, pivot, c)
     x[YAW] = wrap(x[YAW])
 
 
@@ -201,7 +205,7 @@ def _pivot_source(state: State, measurement: MeasurementRecord, c: Config) -> in
             return -1
         latest = latest_pose_source(state, c)
         return latest if c.above[latest] == c.above[measurement.source] else -1
-    return int(c.swing_place)
+    return int(c.swing_pose_source)
 
 
 @compiled
@@ -223,13 +227,13 @@ def _learn_track_error(
     if state.adaptation.elapsed <= c.bank.longest_interval:  # by a recent yaw rate
         return
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
-    aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
+    lateral = (cos * innovation[Y] - sin * innovation[X]) / elapsed
     variance = (sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]) / elapsed**2
     left, right = state.speeds.left, state.speeds.right
-    _, sideways, turning = track_error_variances(state, MeanSpeeds(left, right, elapsed), c)
+    _, sideways_variance, turn_variance = track_error_variances(state, MeanSpeeds(left, right, elapsed), c)
     distance = c.rolling_radius * (left + right) / 2.0 * elapsed
-    by_tracks = sideways + distance * distance * turning / 3.0
-    learn_from_speed(state.adaptation, aside, variance, by_tracks, state.motion.motion == _STANDING, c)
+    by_tracks = sideways_variance + distance * distance * turn_variance / 3.0
+    learn_from_speed(state.adaptation, lateral, variance, by_tracks, state.motion.motion == _STANDING, c)
 
 
 @inlined
@@ -272,10 +276,10 @@ def _weigh(
     if is_learned and not coarse:
         learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
         number = pose_source_number(source, c)
-        has_correlated = number >= 0 and (
+        is_correlated = number >= 0 and (
             state.offsets[number].variance > 0.0 or has_correlated_errors(state, source, update.stated, c)
         )
-        if has_correlated or c.repeat_times[source] > 0.0:  # small innovations do not imply small errors
+        if is_correlated or c.repeat_times[source] > 0.0:  # small innovations do not imply small errors
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
         R = a.fix_factors[source] * o.noise
     update.evidence = evidence

@@ -175,7 +175,7 @@ def _fill_swings(rows: Rows, read: Rows, angle: SwingSource) -> None:
 
 def _fill_odometry(rows: Rows, read: Rows, odometry: OdometrySource) -> None:
     rows["value"] = np.column_stack([read[name] for name in "xyz"])
-    rows["turn"] = np.column_stack([read[f"q{axis}"] for axis in "xyzw"])
+    rows["orientation"] = np.column_stack([read[f"q{axis}"] for axis in "xyzw"])
     name = ODOMETRY_FIELDS[odometry.covariance][0]
     if name:
         rows["noise"][:, :2] = read[name]

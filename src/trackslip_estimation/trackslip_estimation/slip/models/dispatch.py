@@ -6,7 +6,7 @@
     f, F       state after dt seconds, its Jacobian                  (n,), (n, n)
     Q          process noise of a step                               (n, n)
     ω_L, ω_R   sprocket speeds ``left`` and ``right``                rad/s
-    drive      record of the state; used: ``speeds`` and ``motion`` of the sprockets, their errors
+    state      record of ``STATE``; used: ``speeds`` and ``motion`` of the sprockets, their errors
                (``adaptation``, ``shear``), and the ``attitude`` on the ground
     c          record of ``config.CONFIG``
 
@@ -95,26 +95,26 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> Float
 
 @compiled
 def body_twist(
-    x: FloatArray, left: float, right: float, drive: State, c: Config
+    x: FloatArray, left: float, right: float, state: State, c: Config
 ) -> tuple[float, float, float]:
     """``twist`` with the sliding that gravity adds on tilted ground, along the machine's axes."""
-    return slope.add_slide_velocity(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
+    return slope.add_slide_velocity(x, twist(x, left, right, c), (left, right), state.attitude.level, c)
 
 
 @compiled
-def body_jacobian(x: FloatArray, left: float, right: float, drive: State, c: Config) -> FloatArray:
+def body_jacobian(x: FloatArray, left: float, right: float, state: State, c: Config) -> FloatArray:
     """(3, n) derivative of ``body_twist`` by the state."""
     J = twist_jacobian(x, left, right, c)
-    slope.add_slide_jacobian(J, (left, right), drive.attitude.level, c)
+    slope.add_slide_jacobian(J, (left, right), state.attitude.level, c)
     return J
 
 
 @compiled
 def horizontal_twist(
-    x: FloatArray, left: float, right: float, drive: State, c: Config
+    x: FloatArray, left: float, right: float, state: State, c: Config
 ) -> tuple[float, float, float]:
     """Horizontal part of ``body_twist``: speeds along the heading and to its left, rate of the heading."""
-    return slope.horizontal_part(body_twist(x, left, right, drive, c), drive.attitude.level)
+    return slope.horizontal_part(body_twist(x, left, right, state, c), state.attitude.level)
 
 
 @compiled
@@ -151,20 +151,20 @@ def couple_turn_states(P: FloatArray, variance: float, c: Config) -> None:
 
 
 @compiled
-def _persistence(dt: float, drive: State, c: Config) -> tuple[float, float]:
+def _persistence(dt: float, state: State, c: Config) -> tuple[float, float]:
     """Share of the velocity errors that is left after dt, and its mean over dt."""
-    return speed.persistence(dt, drive.motion.motion, c) if has_velocity_errors(c) else (1.0, 1.0)
+    return speed.persistence(dt, state.motion.motion, c) if has_velocity_errors(c) else (1.0, 1.0)
 
 
 @compiled
-def propagate_mean(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
+def propagate_mean(x: FloatArray, state: State, dt: float, c: Config) -> FloatArray:
     """f; the heading at the middle of the step rotates the velocity into the site frame."""
-    kept, share = _persistence(dt, drive, c)
+    rho, mean_share = _persistence(dt, state, c)
     moved = x.copy()
     if has_velocity_errors(c):
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):  # their mean over the step
-            moved[i] *= share
-    v_x, v_y, rate = horizontal_twist(moved, drive.speeds.left, drive.speeds.right, drive, c)
+            moved[i] *= mean_share
+    v_x, v_y, rate = horizontal_twist(moved, state.speeds.left, state.speeds.right, state, c)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway), math.sin(halfway)
     moved[X] += (v_x * cos - v_y * sin) * dt
@@ -172,9 +172,9 @@ def propagate_mean(x: FloatArray, drive: State, dt: float, c: Config) -> FloatAr
     moved[YAW] = wrap(x[YAW] + rate * dt)
     if has_velocity_errors(c):
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
-            moved[i] = x[i] * kept
+            moved[i] = x[i] * rho
     if c.swings:
-        propagate_swing(x, moved, dt, drive, c)
+        propagate_swing(x, moved, dt, state, c)
     for i in range(SENSOR_ERRORS, x.size):
         moved[i] *= sensor_error_persistence(i, dt, c)
     return moved
@@ -188,7 +188,7 @@ def sensor_error_persistence(i: int, dt: float, c: Config) -> float:
 
 @compiled
 def linearize(
-    x: FloatArray, P: FloatArray, drive: State, dt: float, c: Config
+    x: FloatArray, P: FloatArray, state: State, dt: float, c: Config
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """f, F and Q of a step, computed together.
 
@@ -197,25 +197,25 @@ def linearize(
     """
     n = x.size
     F, Q, moved = np.zeros((n, n)), np.zeros((n, n)), x.copy()
-    density = c.process_noise[drive.motion.motion, 1 if drive.motion.changing else 0]
+    density = c.process_noise[state.motion.motion, 1 if state.motion.changing else 0]
     for i in range(n):
         F[i, i], Q[i, i] = 1.0, density[i] * dt
     couple_turn_states(Q, density[TURN_STATE_1] * dt, c)
     if dt <= 0.0:
         return moved, F, Q
-    left, right = drive.speeds.left, drive.speeds.right
-    kept, share = _persistence(dt, drive, c)
+    left, right = state.speeds.left, state.speeds.right
+    rho, mean_share = _persistence(dt, state, c)
     if has_velocity_errors(c):
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
-            moved[i] *= share
-    v_x, v_y, rate = horizontal_twist(moved, left, right, drive, c)
-    J = body_jacobian(moved, left, right, drive, c)
-    slope.horizontal_jacobian(J, drive.attitude.level)
-    turns = has_velocity_errors(c) and drive.motion.motion == _IS_TURNING
-    slope.add_slope_noise(Q, dt, turns, drive.attitude.level)
-    if c.model == _TURNING and drive.attitude.level.tilted == 1:
+            moved[i] *= mean_share
+    v_x, v_y, rate = horizontal_twist(moved, left, right, state, c)
+    J = body_jacobian(moved, left, right, state, c)
+    slope.horizontal_jacobian(J, state.attitude.level)
+    is_turning = has_velocity_errors(c) and state.motion.motion == _IS_TURNING
+    slope.add_slope_noise(Q, dt, is_turning, state.attitude.level)
+    if c.model == _TURNING and state.attitude.level.tilted == 1:
         distance = slope.track_speed((left, right), c) * dt
-        turning.add_slope_noise(Q, distance, drive.attitude.level.downhill_y)
+        turning.add_slope_noise(Q, distance, state.attitude.level.downhill_y)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos
@@ -226,21 +226,21 @@ def linearize(
     F[X, YAW] -= north
     F[Y, YAW] += east
     if has_velocity_errors(c):
-        growth = speed.error_growth(dt, drive.motion.motion, c)
-        _add_velocity_errors(F, Q, J, speed.error_variances(x, P, drive, c), growth, (kept, share))
-        speed.add_track_error(Q, halfway, dt, drive, c)
+        growth = speed.error_growth(dt, state.motion.motion, c)
+        _add_velocity_errors(F, Q, J, speed.error_variances(x, P, state, c), growth, (rho, mean_share))
+        speed.add_track_error(Q, halfway, dt, state, c)
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
-            moved[i] = x[i] * kept
+            moved[i] = x[i] * rho
     else:
         S = free_slips.twist_by_speed(x, c)
         _integrate(S, (cos, sin), (east, north), dt)
         encoder = c.free_slips.encoder
-        speeds = np.array((((encoder * left) ** 2 / dt, 0.0), (0.0, (encoder * right) ** 2 / dt)))
-        Q[:COUPLED, :COUPLED] += sandwich(S, speeds)
+        speed_covariance = np.array((((encoder * left) ** 2 / dt, 0.0), (0.0, (encoder * right) ** 2 / dt)))
+        Q[:COUPLED, :COUPLED] += sandwich(S, speed_covariance)
     moved[X], moved[Y], moved[YAW] = x[X] + east, x[Y] + north, wrap(x[YAW] + rate * dt)
     if c.swings:
-        propagate_swing(x, moved, dt, drive, c)
-        linearize_swing(x, F, Q, dt, drive, c)
+        propagate_swing(x, moved, dt, state, c)
+        linearize_swing(x, F, Q, dt, state, c)
     for i in range(SENSOR_ERRORS, n):
         if c.error_times[i] > 0.0:
             F[i, i] = sensor_error_persistence(i, dt, c)
@@ -256,10 +256,10 @@ def _integrate(J: FloatArray, direction: tuple[float, float], moved: tuple[float
     """
     (cos, sin), (east, north) = direction, moved
     for k in range(J.shape[1]):
-        along, across, turned = J[0, k], J[1, k], J[2, k]
-        J[X, k] = cos * along - sin * across - north * dt / 2.0 * turned
-        J[Y, k] = sin * along + cos * across + east * dt / 2.0 * turned
-        J[YAW, k] = dt * turned
+        along, across, turn = J[0, k], J[1, k], J[2, k]
+        J[X, k] = cos * along - sin * across - north * dt / 2.0 * turn
+        J[Y, k] = sin * along + cos * across + east * dt / 2.0 * turn
+        J[YAW, k] = dt * turn
 
 
 @compiled
@@ -273,13 +273,13 @@ def _add_velocity_errors(
 ) -> None:
     """Enter the velocity errors into F and Q; G (3, n): derivative of the pose by their mean over a step."""
     of_mean, of_both, of_end = growth
-    kept, share = persistence
+    rho, mean_share = persistence
     for k in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
         variance = variances[k - SPEED_ERROR]
         for i in range(COUPLED):
             for j in range(COUPLED):
                 Q[i, j] += G[i, k] * G[j, k] * variance * of_mean
             Q[i, k] = Q[k, i] = G[i, k] * variance * of_both
-            F[i, k] = G[i, k] * share
+            F[i, k] = G[i, k] * mean_share
         Q[k, k] += variance * of_end
-        F[k, k] = kept
+        F[k, k] = rho

@@ -77,9 +77,9 @@ def velocity_error_constants(n: IcrNoise) -> dict[str, float]:
 @compiled
 def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
     """v in m/s and ω in rad/s without the velocity errors, from r ω_j (1 − i₀) = v − ω y_j."""
-    hold = c.rolling_radius * (1.0 - x[COMMON_SLIP])
-    rate = hold * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _LEAST_CENTRE_DISTANCE)
-    return hold * (left + right) / 2.0 + rate * (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0, rate
+    radius = c.rolling_radius * (1.0 - x[COMMON_SLIP])
+    rate = radius * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _LEAST_CENTRE_DISTANCE)
+    return radius * (left + right) / 2.0 + rate * (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0, rate
 
 
 @compiled
@@ -93,11 +93,11 @@ def twist(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, f
 def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(3, SIZE) derivative of ``twist`` by the state."""
     J = np.zeros((3, x.size))
-    apart, middle = x[LEFT_CENTRE] - x[RIGHT_CENTRE], (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0
+    distance, middle = x[LEFT_CENTRE] - x[RIGHT_CENTRE], (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0
     rate = equations(x, left, right, c)[1]
-    if apart > _LEAST_CENTRE_DISTANCE:
-        J[2, LEFT_CENTRE], J[2, RIGHT_CENTRE] = -rate / apart, rate / apart
-    J[2, COMMON_SLIP] = -c.rolling_radius * (right - left) / max(apart, _LEAST_CENTRE_DISTANCE)
+    if distance > _LEAST_CENTRE_DISTANCE:
+        J[2, LEFT_CENTRE], J[2, RIGHT_CENTRE] = -rate / distance, rate / distance
+    J[2, COMMON_SLIP] = -c.rolling_radius * (right - left) / max(distance, _LEAST_CENTRE_DISTANCE)
     J[0] = middle * J[2]
     J[0, LEFT_CENTRE] += rate / 2.0
     J[0, RIGHT_CENTRE] += rate / 2.0

@@ -15,10 +15,7 @@ GYRO_SCALE, FIX_DELAY = 10, 11  # behind the states of each model
 DOWNHILL = 12  # k of the models with turn states
 POSE = slice(X, YAW + 1)
 UNDERCARRIAGE_SIZE = 14  # states without swing and sensor errors
-SWING, SWING_RATE = (
-    UNDERCARRIAGE_SIZE,
-    UNDERCARRIAGE_SIZE + 1,
-)  # σ of the upper structure (``swing``) and σ̇, rad, rad/s
+SWING, SWING_RATE = UNDERCARRIAGE_SIZE, UNDERCARRIAGE_SIZE + 1  # σ and σ̇ (``swing``), rad, rad/s
 SENSOR_ERRORS = SWING_RATE + 1  # first sensor error (``source_offsets``)
 MOST_SENSOR_ERRORS = 18
 SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; unused states are zero

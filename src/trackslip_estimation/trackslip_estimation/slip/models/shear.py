@@ -32,41 +32,41 @@ _MISSING_SHEAR = 1e-4  # missing share at which the shear counts as built up: af
 @compiled
 def update_shear(state: State, dt: float, c: Config) -> None:
     """Update s after ``dt`` s at the state's speeds and motion."""
-    built = state.shear
+    shear = state.shear
     if state.motion.motion == _STANDING:
-        built[0] = built[1] = 0.0
+        shear[0] = shear[1] = 0.0
         return
     for side in range(2):
         speed = state.speeds.left if side == 0 else state.speeds.right
         distance = c.rolling_radius * abs(speed) * dt
-        missing = math.copysign(1.0, speed) - built[side]
-        built[side] -= missing * math.expm1(-distance / c.velocity_errors.start_shear)
+        missing = math.copysign(1.0, speed) - shear[side]
+        shear[side] -= missing * math.expm1(-distance / c.velocity_errors.start_shear)
 
 
 @compiled
-def is_shear_building_up(drive: State, c: Config) -> bool:
+def is_shear_building_up(state: State, c: Config) -> bool:
     """Whether a track turns and the shear under it is not built up yet."""
-    left, right = shear_speeds(drive, c)
-    distance = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
+    left, right = shear_speeds(state, c)
+    distance = c.rolling_radius * abs(state.speeds.left), c.rolling_radius * abs(state.speeds.right)
     return bool(abs(left) > _MISSING_SHEAR * distance[0] or abs(right) > _MISSING_SHEAR * distance[1])
 
 
 @compiled
-def shear_speeds(drive: State, c: Config) -> tuple[float, float]:
+def shear_speeds(state: State, c: Config) -> tuple[float, float]:
     """Parts of the left and the right track's speed that the shear of the soil may absorb, m/s."""
-    left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
-    return left - abs(left) * drive.shear[0], right - abs(right) * drive.shear[1]
+    left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
+    return left - abs(left) * state.shear[0], right - abs(right) * state.shear[1]
 
 
 @compiled
-def shear_variances(drive: State, c: Config) -> tuple[float, float]:
+def shear_variances(state: State, c: Config) -> tuple[float, float]:
     """Variances by the lost speeds: of v, and of ω times B, (m/s)².
 
     Both tracks lose the same share of speed, up to ``yaw_rate_ratio``. With correlation time τ, one standard
     deviation moves a machine that starts or reverses by K₀, and by no more than the track distance.
     """
-    e, (left, right) = c.velocity_errors, shear_speeds(drive, c)
-    both = (left + right) / 2.0
-    fastest = c.rolling_radius * max(abs(drive.speeds.left), abs(drive.speeds.right))
+    e, (left, right) = c.velocity_errors, shear_speeds(state, c)
+    mean = (left + right) / 2.0
+    fastest = c.rolling_radius * max(abs(state.speeds.left), abs(state.speeds.right))
     share = min(1.0, e.start_shear / max(fastest * e.time, 1e-12))
-    return share * both**2, share * ((right - left) ** 2 + (e.yaw_rate_ratio * both) ** 2)
+    return share * mean**2, share * ((right - left) ** 2 + (e.yaw_rate_ratio * mean) ** 2)

@@ -42,14 +42,9 @@ _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
 _GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
 _AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
 _DIRECTION_CHANGE = 0.1  # change of the sine of the slope driven down at which k is inflated
-_RELATIVE_INFLATION = (
-    0.5  # standard deviation then added, as a share of k, per change over the sine of the slope
-)
-_TURN_STATE_WALKS = (
-    0.5,
-    0.75,
-    0.25,
-)  # random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
+_RELATIVE_INFLATION = 0.5  # standard deviation added, as a share of k, per change over the sine of the slope
+# random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
+_TURN_STATE_WALKS = 0.5, 0.75, 0.25
 
 
 @compiled
@@ -59,8 +54,8 @@ def add_slide_velocity(
     """The twist with the sliding that gravity adds; ``speeds`` are those of the sprockets, rad/s."""
     if level.tilted == 0:
         return twist
-    by, T = x[DOWNHILL] * track_speed(speeds, c), turn_speed(speeds, c)
-    ahead, aside = by + _AHEAD * T, by + _ASIDE * T
+    slide, T = x[DOWNHILL] * track_speed(speeds, c), turn_speed(speeds, c)
+    ahead, aside = slide + _AHEAD * T, slide + _ASIDE * T
     return twist[0] + ahead * level.downhill_x, twist[1] + aside * level.downhill_y, twist[2]
 
 
@@ -114,18 +109,16 @@ def inflate_downhill_slip(state: State) -> None:
     if V == 0.0 or level.tilted == 0:
         return
     down = math.copysign(level.downhill_x, V * level.downhill_x)
-    changed = abs(down - state.learned_downhill)
-    if changed < _DIRECTION_CHANGE:
+    change = abs(down - state.learned_downhill)
+    if change < _DIRECTION_CHANGE:
         return
     steep = math.sqrt(level.downhill_x**2 + level.downhill_y**2 + _GENTLE**2)
-    state.covariance[DOWNHILL, DOWNHILL] += (
-        _RELATIVE_INFLATION * state.mean[DOWNHILL] * changed / steep
-    ) ** 2
+    state.covariance[DOWNHILL, DOWNHILL] += (_RELATIVE_INFLATION * state.mean[DOWNHILL] * change / steep) ** 2
     state.learned_downhill = down
 
 
 @compiled
-def add_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None:
+def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, level: Level) -> None:
     """Add noise of the heading by errors of roll and gyro to Q, and of κ, η and x_I in turns.
 
     The noise of k is scaled down on level ground, where k is not observable.
@@ -133,7 +126,7 @@ def add_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None
     slope = level.downhill_x**2 + level.downhill_y**2
     Q[DOWNHILL, DOWNHILL] *= slope / (slope + _GENTLE**2)
     Q[YAW, YAW] += level.turn_variance * dt
-    if turns and level.tilted == 1:
+    if is_turning and level.tilted == 1:
         of_first, of_second, of_offset = _TURN_STATE_WALKS
         Q[TURN_STATE_1, TURN_STATE_1] += of_first**2 * slope * dt
         Q[TURN_STATE_2, TURN_STATE_2] += of_second**2 * slope * dt

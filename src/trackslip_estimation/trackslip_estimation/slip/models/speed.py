@@ -226,65 +226,65 @@ def error_growth(dt: float, motion: int, c: Config) -> tuple[float, float, float
         mean = (2.0 * a - 4.0 * lost + 1.0 - (1.0 - lost) ** 2) / (a * a)
     end, both = 1.0 - (1.0 - lost) ** 2, lost * lost / a
     if end > 0.0:  # inertia: between given ends, the mean varies less than a Markov process
-        known = both * both / end
-        mean = known + (mean - known) * a * a / (1.0 + a * a)
+        explained = both * both / end
+        mean = explained + (mean - explained) * a * a / (1.0 + a * a)
     return mean, both, end
 
 
 @compiled
-def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tuple[float, float]:
+def error_variances(x: FloatArray, P: FloatArray, state: State, c: Config) -> tuple[float, float]:
     """Variances of m_v, (m/s)², and of m_ω, (rad/s)²; their expectation over i₀.
 
     They grow while sprocket speeds are extrapolated, since these may have changed (``coasting``).
     """
-    e, speeds, motion = c.velocity_errors, drive.speeds, drive.motion
+    e, speeds, motion = c.velocity_errors, state.speeds, state.motion
     if motion.motion == _SILENT:
         return c.unknown_speed**2, c.unknown_yaw_rate**2
     if motion.motion == _TURNING:
         steady = e.turning * c.rolling_radius * (speeds.right - speeds.left)
     else:
         steady = e.straight * c.rolling_radius * (speeds.left + speeds.right) / 2.0
-    changing = e.changing * departure(drive, c)
+    changing = e.changing * departure(state, c)
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
-    of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
-    of_speed, of_rate = shear_variances(drive, c)
+    of_tracks = state.adaptation.track_variance * track_exposure(state, c)
+    of_speed, of_rate = shear_variances(state, c)
     of_speed += (steady**2 + changing**2) * yielding + e.standing**2
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     if motion.motion != _STANDING:
         rounding = c.rolling_radius**2 * rounding_variance(e.time, speeds)
         of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
-    goes_on = drive.time_since_sample / SPEED_TIME
+    extrapolated = state.time_since_sample / SPEED_TIME
     return (
-        of_speed + goes_on * c.unknown_speed**2,
-        of_rate / (c.tread * c.tread) + goes_on * c.unknown_yaw_rate**2,
+        of_speed + extrapolated * c.unknown_speed**2,
+        of_rate / (c.tread * c.tread) + extrapolated * c.unknown_yaw_rate**2,
     )
 
 
 @compiled
-def track_exposure(drive: State, c: Config) -> float:
+def track_exposure(state: State, c: Config) -> float:
     """U, (m/s)²."""
-    left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
-    U: float = left * left + right * right + c.adaptation.changing_weight * departure(drive, c) ** 2
+    left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
+    U: float = left * left + right * right + c.adaptation.changing_weight * departure(state, c) ** 2
     return U
 
 
 @compiled
-def departure(drive: State, c: Config) -> float:
+def departure(state: State, c: Config) -> float:
     """d: largest difference of the track speeds from their recent mean, m/s."""
-    return float(c.rolling_radius * drive.motion.departure)
+    return float(c.rolling_radius * state.motion.departure)
 
 
 @compiled
-def add_track_error(Q: FloatArray, heading: float, dt: float, drive: State, c: Config) -> None:
+def add_track_error(Q: FloatArray, heading: float, dt: float, state: State, c: Config) -> None:
     """Add the track error beside the velocity errors to Q (n, n): a walk of i₀, and sideways motion.
 
     The sideways speed is modelled as white noise, which holds for steps longer than τ.
     """
-    n, track_variance = c.adaptation, drive.adaptation.track_variance
-    if drive.motion.motion != _STANDING:
+    n, track_variance = c.adaptation, state.adaptation.track_variance
+    if state.motion.motion != _STANDING:
         Q[COMMON_SLIP, COMMON_SLIP] += n.common_slip**2 * track_variance * dt
-    left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
+    left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
     of_speed = track_variance * (left * left + right * right) / 4.0
     sideways = n.sideways**2 * of_speed * 2.0 * c.velocity_errors.time * dt
     cos, sin = math.cos(heading), math.sin(heading)
@@ -304,18 +304,18 @@ def slips(
     the speed ``_CREEP``, at which it skids.
     """
     v_x, v_y, rate = twist_
-    found = np.zeros(3)
+    values = np.zeros(3)
     for side in range(2):
         track = c.rolling_radius * (left if side == 0 else right)
         sign = -1.0 if side == 0 else 1.0
         frame = v_x + sign * rate * c.tread / 2.0
         if abs(track) < _SLOWEST:
-            found[side] = min(x[COMMON_SLIP], 1.0 - abs(frame) / _CREEP)
+            values[side] = min(x[COMMON_SLIP], 1.0 - abs(frame) / _CREEP)
         else:
-            found[side] = 1.0 - frame / track
+            values[side] = 1.0 - frame / track
     if abs(v_x) >= _SLOWEST:
-        found[2] = math.atan(v_y / v_x)
-    return found
+        values[2] = math.atan(v_y / v_x)
+    return values
 
 
 @compiled

@@ -104,9 +104,9 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 
 @compiled
-def is_swing_braked(drive: State) -> bool:
+def is_swing_braked(state: State) -> bool:
     """Whether the tracks drive, so that the brake holds the upper structure."""
-    return bool(drive.motion.motion == _STRAIGHT or drive.motion.motion == _TURNING)
+    return bool(state.motion.motion == _STRAIGHT or state.motion.motion == _TURNING)
 
 
 @compiled
@@ -129,18 +129,18 @@ def _swing_share(rate: float) -> float:
 
 
 @compiled
-def _rate_noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
+def _rate_noise(rate: float, state: State, c: Config) -> tuple[float, float]:
     """q and τ at a swing rate."""
-    n, swings = c.swing, _swing_share(rate)
-    if not is_swing_braked(drive):
+    n, share = c.swing, _swing_share(rate)
+    if not is_swing_braked(state):
         return n.free_density, n.free_time
-    return n.held_density + swings * n.free_density, n.held_time + swings * (n.free_time - n.held_time)
+    return n.held_density + share * n.free_density, n.held_time + share * (n.free_time - n.held_time)
 
 
 @compiled
-def propagate_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Config) -> None:
+def propagate_swing(x: FloatArray, moved: FloatArray, dt: float, state: State, c: Config) -> None:
     """Write σ and σ̇ after ``dt`` s into ``moved`` and add the shift of x_I; σ is not wrapped."""
-    tau = _rate_noise(x[SWING_RATE], drive, c)[1]
+    tau = _rate_noise(x[SWING_RATE], state, c)[1]
     lost = -math.expm1(-dt / tau)
     moved[SWING] = x[SWING] + x[SWING_RATE] * lost * tau
     moved[SWING_RATE] = x[SWING_RATE] * (1.0 - lost)
@@ -148,9 +148,9 @@ def propagate_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c
 
 
 @compiled
-def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, drive: State, c: Config) -> None:
+def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, state: State, c: Config) -> None:
     """Enter the swing into F and Q of a step of ``dt`` s, in place."""
-    q, tau = _rate_noise(x[SWING_RATE], drive, c)
+    q, tau = _rate_noise(x[SWING_RATE], state, c)
     lost = -math.expm1(-dt / tau)
     F[SWING, SWING_RATE], F[SWING_RATE, SWING_RATE] = lost * tau, 1.0 - lost
     Q[SWING_RATE, SWING_RATE] = q * tau * lost * (2.0 - lost) / 2.0

@@ -116,8 +116,8 @@ def _altitude_variances(
     source, level = measurement.source, state.attitude.level
     stated = max(measurement.altitude_variance, c.position_floor[source] ** 2)
     stated *= state.adaptation.fix_factors[source]
-    steep = level.downhill_x**2 + level.downhill_y**2
-    stated += steep * unknown_swing_variance(state.covariance, source, c)
+    squared_slope = level.downhill_x**2 + level.downhill_y**2
+    stated += squared_slope * unknown_swing_variance(state.covariance, source, c)
     share = time_correlated_share(state, source, c)
     if share == 0.0:
         return stated, stated
@@ -131,8 +131,8 @@ def _is_persistent(
     climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
 ) -> bool:
     """Whether this altitude, outside the gate, completes a series of altitudes that agree."""
-    apart = innovation - climb.apart
-    if climb.refused == 0 or apart * apart > 2.0 * c.gate_limits[1] * stated:
+    change = innovation - climb.apart
+    if climb.refused == 0 or change * change > 2.0 * c.gate_limits[1] * stated:
         climb.refused, climb.rejected_ns, climb.apart = 0, measurement.stamp_ns, innovation
     climb.refused += 1
     lasted_ns = measurement.stamp_ns - climb.rejected_ns

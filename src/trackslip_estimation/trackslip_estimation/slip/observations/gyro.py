@@ -75,7 +75,7 @@ def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> 
     scale = c.rate_scale[measurement.source]
     variance = max(measurement.noise[0, 0] / (scale * scale), LEAST_VARIANCE)
     if state.coasting:  # the yaw rate is unknown, so the bias is not observable
-        variance += c.unseen_yaw_rate**2
+        variance += c.unmodelled_yaw_rate**2
     return float(variance)
 
 
@@ -95,7 +95,7 @@ def _speeds_to_compare(state: State, source: int, stamp_ns: int, c: Config) -> t
 
 @compiled
 def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
-    """ν (1,), H and R of a yaw rate, and its known states (``_consider_states``)."""
+    """ν (1,), H and R of a yaw rate, and its known states."""
     source, x = measurement.source, state.mean[: c.size]
     left, right = _speeds_to_compare(state, source, measurement.stamp_ns, c)
     bias, scale, rate = bias_index(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
@@ -109,12 +109,12 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     H[0, bias], H[0, GYRO_SCALE] = 1.0, rate
     nu = measurement.value[0] / c.rate_scale[source] - scale * rate - x[bias]
     R = stated_variance(measurement, state, c)
-    known = _consider_states(left, right, bias, c)
+    known = _known_states(left, right, bias, c)
     return Observation(np.array((nu,)), H, np.array(((R,),)), 0, known, H[:0])
 
 
 @compiled
-def _consider_states(left: float, right: float, bias: int, c: Config) -> int:
+def _known_states(left: float, right: float, bias: int, c: Config) -> int:
     """Bits of the states that a yaw rate does not correct; the gain is that of a filter which knows them.
 
     While the machine moves, a gyro does not observe b_g and s_g: a dependence of the turning on direction and
@@ -122,8 +122,8 @@ def _consider_states(left: float, right: float, bias: int, c: Config) -> int:
     """
     if not has_velocity_errors(c):
         return 0
-    moves = left != 0.0 or right != 0.0
-    return (1 << GYRO_SCALE) | (1 << bias if moves else 0)
+    is_moving = left != 0.0 or right != 0.0
+    return (1 << GYRO_SCALE) | (1 << bias if is_moving else 0)
 
 
 @inlined
@@ -147,11 +147,11 @@ def update_with_rate(
         is_standing = state.motion.motion == _STANDING
         least_nis = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, is_standing, c)
     streak = state.streaks[source]
-    resets_turn_states = nis > limit or streak.count > 0
-    resets_turn_states = resets_turn_states and _has_ground_changed(measured, x, streak, left, right, c)
-    if resets_turn_states:
+    is_new_ground = nis > limit or streak.count > 0
+    is_new_ground = is_new_ground and _has_ground_changed(measured, x, streak, left, right, c)
+    if is_new_ground:
         streak.count = 0
-        _reset_turning_states(P, c)
+        _inflate_turn_states(P, c)
         S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
         least_nis = nis = innovation * innovation / S
     elif nis <= limit:
@@ -169,7 +169,7 @@ def update_with_rate(
         else:
             bias = bias_index(source, c)
             P[bias, bias] += innovation * innovation
-    if resets_turn_states or least_nis > limit:
+    if is_new_ground or least_nis > limit:
         copy_square(P, prior.covariance, c.size)
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
@@ -220,10 +220,10 @@ def _has_ground_changed(
     if not (rate * without_slip > 0.0 and abs(rate) < abs(without_slip)) or not has_velocity_errors(c):
         streak.count = 0
         return False
-    learned = twist(x, left, right, c)[2] - x[YAW_RATE_ERROR]
-    efficiency, departure = rate / without_slip, (rate - learned) / without_slip
-    agreement = streak.count > 0 and abs(efficiency - streak.value) <= c.ground.agreement
-    if not agreement or departure * streak.departure < c.ground.persists * streak.departure**2:
+    predicted = twist(x, left, right, c)[2] - x[YAW_RATE_ERROR]
+    efficiency, departure = rate / without_slip, (rate - predicted) / without_slip
+    agrees = streak.count > 0 and abs(efficiency - streak.value) <= c.ground.agreement
+    if not agrees or departure * streak.departure < c.ground.persists * streak.departure**2:
         streak.count, streak.value, streak.departure = 1, efficiency, departure
     else:
         streak.count += 1
@@ -231,7 +231,7 @@ def _has_ground_changed(
 
 
 @compiled
-def _reset_turning_states(P: FloatArray, c: Config) -> None:
+def _inflate_turn_states(P: FloatArray, c: Config) -> None:
     """Inflate the variances of the turn states and of i₀ in P by those at the start; in place."""
     P[TURN_STATE_1, TURN_STATE_1] += c.velocity_errors.first_variance
     P[TURN_STATE_2, TURN_STATE_2] += c.velocity_errors.second_variance

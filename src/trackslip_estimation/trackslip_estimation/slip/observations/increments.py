@@ -37,8 +37,9 @@ _SMALL = 1e-9  # rad
 def increment(before: OdometryRecord, measurement: MeasurementRecord, T: float, c: Config) -> FloatArray:
     """(3,) v_x and v_y in m/s, yaw rate in rad/s; means over T, along the axes of base_link."""
     lever, mounting = c.levers[measurement.source], c.mountings[measurement.source]
-    first, second = _base_orientation(before.turn, mounting), _base_orientation(measurement.turn, mounting)
-    moved = measurement.value - _rotate(second, lever) - before.place + _rotate(first, lever)
+    first = _base_orientation(before.orientation, mounting)
+    second = _base_orientation(measurement.orientation, mounting)
+    moved = measurement.value - _rotate(second, lever) - before.position + _rotate(first, lever)
     turn = _product(_conjugate(first), second)
     if turn[3] < 0.0:
         turn = -turn
@@ -72,9 +73,9 @@ def stated_variances(
 
 
 @compiled
-def _base_orientation(turn: FloatArray, mounting: FloatArray) -> FloatArray:
+def _base_orientation(q: FloatArray, mounting: FloatArray) -> FloatArray:
     """d, normalised."""
-    d = _product(turn, _conjugate(mounting))
+    d = _product(q, _conjugate(mounting))
     return d / math.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 + d[3] ** 2)
 
 

@@ -125,7 +125,8 @@ def update_with_odometry(
         update.outcome = _BEGUN
     store_reading(state, source, measurement.stamp_ns)
     before.known, before.coasting = True, state.coasting
-    before.frame, before.place[:], before.turn[:] = measurement.frame, measurement.value, measurement.turn
+    before.frame, before.position[:] = measurement.frame, measurement.value
+    before.orientation[:] = measurement.orientation
     before.noise[:], before.integrated_twist[:] = measurement.noise, state.integrated_twist
     before.errors[0] = state.covariance[SPEED_ERROR, SPEED_ERROR]
     before.errors[1] = state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR]
@@ -144,21 +145,21 @@ def _update_with_increment(
     """Gate and update; ``stated``: R (3, 3) as the source states it."""
     source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
     before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
-    drive, since_ns = mean_speeds_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
-    ahead, turned, open_ = _mean_error_model(state, before, drive, c)
-    h, H = _predicted_increment(state, before, drive, source, ahead, turned, c)
-    D = np.diag(open_)
+    speeds, since_ns = mean_speeds_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
+    speed_factor, rate_factor, variances = _mean_error_model(state, before, speeds, c)
+    h, H = _predicted_increment(state, before, speeds, source, speed_factor, rate_factor, c)
+    D = np.diag(variances)
     innovation = z - h
     if has_velocity_errors(c) and not state.coasting:
-        of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
-        independent = factors[source] * stated[0, 0] + of_errors * max(
-            2.0 * c.velocity_errors.time / drive.T, 1.0
+        error_variance = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
+        independent_variance = factors[source] * stated[0, 0] + error_variance * max(
+            2.0 * c.velocity_errors.time / speeds.T, 1.0
         )
-        _inflate_slip_on_agreement(state, before, since_ns, innovation[0], drive, H, independent, c)
+        _inflate_slip_on_agreement(state, before, since_ns, innovation[0], speeds, H, independent_variance, c)
         copy_square(P, prior.covariance, c.size)
     predicted = predicted_covariance(P, H) + D
     update.dof, update.gate = 3, gate_limit(state, measurement, 3, c)
-    least_nis = _least_nis(state, source, innovation, predicted, stated, drive, update.gate, c)
+    least_nis = _least_nis(state, source, innovation, predicted, stated, speeds, update.gate, c)
     R = factors[source] * stated
     L = root(predicted + R)
     update.nis, update.log_determinant = weighted_square(L, innovation), log_determinant(L)
@@ -172,8 +173,8 @@ def _update_with_increment(
     else:
         inflate_noise_to_gate(R, innovation, predicted, limit)
     scale = c.source_states[source]
-    shared = _pose_noise_covariance(state, since_ns, drive.T, open_)
-    correct(state.mean[:], P, Observation(innovation, H, R + D, 1 << scale if scale >= 0 else 0, 0, shared))
+    C = _pose_noise_covariance(state, since_ns, speeds.T, variances)
+    correct(state.mean[:], P, Observation(innovation, H, R + D, 1 << scale if scale >= 0 else 0, 0, C))
     state.mean[YAW] = wrap(state.mean[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
 
@@ -185,7 +186,7 @@ def _least_nis(
     innovation: FloatArray,
     predicted: FloatArray,
     stated: FloatArray,
-    drive: MeanSpeeds,
+    speeds: MeanSpeeds,
     gate: float,
     c: Config,
 ) -> float:
@@ -195,13 +196,13 @@ def _least_nis(
     """
     a = state.adaptation
     S, by_tracks = predicted + a.fix_factors[source] * stated, np.zeros(3)
-    most = S.copy()
+    largest = S.copy()
     if has_velocity_errors(c) and not state.coasting:
-        by_tracks[:] = track_error_variances(state, drive, c)
-        lacking = c.adaptation.track_variances[-1] - a.track_variance
+        by_tracks[:] = track_error_variances(state, speeds, c)
+        margin = c.adaptation.track_variances[-1] - a.track_variance
         for k in range(3):
-            most[k, k] += lacking * by_tracks[k]
-    least_nis = weighted_square(root(most), innovation)
+            largest[k, k] += margin * by_tracks[k]
+    least_nis = weighted_square(root(largest), innovation)
     if has_velocity_errors(c) and least_nis <= gate:
         is_standing = state.motion.motion == _STANDING
         learn_from_speed(a, innovation[0], S[0, 0], by_tracks[0], is_standing, c)
@@ -216,34 +217,41 @@ def _inflate_slip_on_agreement(
     before: OdometryRecord,
     since_ns: int,
     innovation: float,
-    drive: MeanSpeeds,
+    speeds: MeanSpeeds,
     H: FloatArray,
-    independent: float,
+    independent_variance: float,
     c: Config,
 ) -> None:
-    """Inflate i₀, and with it the position, where recent increments agree on another slip.
+    """Inflate the covariance of i₀ and of the position where recent increments agree on another slip.
 
-    ``innovation`` of the speed ahead, m/s; ``independent``: variance of independent errors.
+    ``innovation`` of the speed ahead, m/s; ``independent_variance``: variance of independent errors.
     """
-    x, P, T = state.mean[:], state.covariance[:], drive.T
-    track = c.rolling_radius * (drive.left + drive.right) / 2.0
-    if abs(track) < max(c.ground.slowest, abs(innovation)):  # possible on no ground
+    x, P, T = state.mean[:], state.covariance[:], speeds.T
+    track_speed = c.rolling_radius * (speeds.left + speeds.right) / 2.0
+    if abs(track_speed) < max(c.ground.slowest, abs(innovation)):  # possible on no ground
         return
-    slow = H[:1].copy()
-    slow[0, SPEED_ERROR] = slow[0, YAW_RATE_ERROR] = 0.0
-    known = predicted_covariance(P, slow)[0, 0]
-    kept = math.exp(-T / c.ground.increments_time)
-    before.slip_weight = kept * before.slip_weight + track * track / independent
-    before.slip_sum = kept * before.slip_sum - track * innovation / independent
-    before.slip_distance += track * T
-    off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
-    if off * off <= variance:
+    H_slow = H[:1].copy()
+    H_slow[0, SPEED_ERROR] = H_slow[0, YAW_RATE_ERROR] = 0.0
+    slow_variance = predicted_covariance(P, H_slow)[0, 0]
+    decay = math.exp(-T / c.ground.increments_time)
+    before.slip_weight = decay * before.slip_weight + track_speed * track_speed / independent_variance
+    before.slip_sum = decay * before.slip_sum - track_speed * innovation / independent_variance
+    before.slip_distance += track_speed * T
+    error, variance = (
+        before.slip_sum / before.slip_weight,
+        1.0 / before.slip_weight + slow_variance / (track_speed * track_speed),
+    )
+    if error * error <= variance:
         before.slip_distance, before.slip_ns = 0.0, since_ns
-    elif off * off > c.ground.significant**2 * variance:
+    elif error * error > c.ground.significant**2 * variance:
         distance = before.slip_distance if state.fixed_ns < before.slip_ns else 0.0
-        by, ahead = np.zeros(P.shape[0]), -off * distance
-        by[COMMON_SLIP], by[X], by[Y] = off, ahead * math.cos(x[YAW]), ahead * math.sin(x[YAW])
-        P += np.outer(by, by)
+        deviation, ahead = np.zeros(P.shape[0]), -error * distance
+        deviation[COMMON_SLIP], deviation[X], deviation[Y] = (
+            error,
+            ahead * math.cos(x[YAW]),
+            ahead * math.sin(x[YAW]),
+        )
+        P += np.outer(deviation, deviation)
         _reset_slip_evidence(before, since_ns)
 
 
@@ -251,20 +259,20 @@ def _inflate_slip_on_agreement(
 def _predicted_increment(
     state: State,
     before: OdometryRecord,
-    drive: MeanSpeeds,
+    speeds: MeanSpeeds,
     source: int,
-    ahead: float,
-    turned: float,
+    speed_factor: float,
+    rate_factor: float,
     c: Config,
 ) -> tuple[FloatArray, FloatArray]:
-    """h (3,) and H (3, n); ``ahead``, ``turned``: factors of the means of m on m at the end of T."""
-    index, h = c.source_states[source], (state.integrated_twist - before.integrated_twist) / drive.T
+    """h (3,) and H (3, n); ``speed_factor``, ``rate_factor``: of the means of m on m at the end of T."""
+    index, h = c.source_states[source], (state.integrated_twist - before.integrated_twist) / speeds.T
     scale = 1.0 + (state.mean[index] if index >= 0 else 0.0)
-    H = body_jacobian(state.mean[:], drive.left, drive.right, state, c)
+    H = body_jacobian(state.mean[:], speeds.left, speeds.right, state, c)
     for i in range(3):
         if has_velocity_errors(c):
-            H[i, SPEED_ERROR] *= ahead
-            H[i, YAW_RATE_ERROR] *= turned
+            H[i, SPEED_ERROR] *= speed_factor
+            H[i, YAW_RATE_ERROR] *= rate_factor
         if i < YAW:
             for j in range(state.mean.size):
                 H[i, j] *= scale
@@ -276,13 +284,13 @@ def _predicted_increment(
 
 @compiled
 def _mean_error_model(
-    state: State, before: OdometryRecord, drive: MeanSpeeds, c: Config
+    state: State, before: OdometryRecord, speeds: MeanSpeeds, c: Config
 ) -> tuple[float, float, FloatArray]:
-    """Factors ``ahead`` and ``turned`` of ``_predicted_increment``, and D (3,).
+    """Factors ``speed_factor`` and ``rate_factor`` of ``_predicted_increment``, and D (3,).
 
     While the sprockets are silent, D is that of an unknown speed.
     """
-    T, D = drive.T, np.zeros(3)
+    T, D = speeds.T, np.zeros(3)
     if state.coasting:
         D[0] = D[1] = 2.0 * SPEED_TIME * c.unknown_speed**2 / T
         return 0.0, 1.0, D
@@ -291,10 +299,10 @@ def _mean_error_model(
     variances = speed.error_variances(state.mean[:], state.covariance[:], state, c)
     persistence = speed.persistence(T, state.motion.motion, c)
     growth = speed.error_growth(T, state.motion.motion, c)
-    ahead, D[0] = _regress_mean_on_end(before.errors[0], variances[0], persistence, growth)
-    turned, D[2] = _regress_mean_on_end(before.errors[1], variances[1], persistence, growth)
-    D[1] = state.adaptation.track_variance * _sideways_variance(drive, c)
-    return ahead, turned, D
+    speed_factor, D[0] = _regress_mean_on_end(before.errors[0], variances[0], persistence, growth)
+    rate_factor, D[2] = _regress_mean_on_end(before.errors[1], variances[1], persistence, growth)
+    D[1] = state.adaptation.track_variance * _sideways_variance(speeds, c)
+    return speed_factor, rate_factor, D
 
 
 @compiled
@@ -305,32 +313,32 @@ def _regress_mean_on_end(
 
     ``first``: variance at the start of T; ``variance``: variance of the process.
     """
-    (kept, mean), (of_mean, of_both, of_end) = persistence, growth
-    both, end = kept * mean * first + of_both * variance, kept * kept * first + of_end * variance
+    (rho, mean), (of_mean, of_both, of_end) = persistence, growth
+    both, end = rho * mean * first + of_both * variance, rho * rho * first + of_end * variance
     factor = both / end if end > 0.0 else 0.0
     return factor, max(mean * mean * first + of_mean * variance - factor * both, 0.0)
 
 
 @compiled
-def _sideways_variance(drive: MeanSpeeds, c: Config) -> float:
+def _sideways_variance(speeds: MeanSpeeds, c: Config) -> float:
     """Variance of the mean of v_y over T for a track error of 1 (``speed``), (m/s)²."""
-    squares: float = c.rolling_radius**2 * (drive.left * drive.left + drive.right * drive.right)
-    return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / drive.T)
+    squares: float = c.rolling_radius**2 * (speeds.left * speeds.left + speeds.right * speeds.right)
+    return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / speeds.T)
 
 
 @compiled
-def track_error_variances(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
+def track_error_variances(state: State, speeds: MeanSpeeds, c: Config) -> FloatArray:
     """(3,) part of the diagonal of S by the tracks, for a track error of 1."""
-    share = speed.persistence(drive.T, state.motion.motion, c)[1]
-    of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
+    mean_share = speed.persistence(speeds.T, state.motion.motion, c)[1]
+    of_mean = speed.error_growth(speeds.T, state.motion.motion, c)[0]
     U = speed.track_exposure(state, c)
-    ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
-    return np.array((ahead, _sideways_variance(drive, c), of_mean * U / c.tread**2))
+    ahead = c.adaptation.forward**2 / 4.0 * (mean_share**2 * state.adaptation.speed_exposure + of_mean * U)
+    return np.array((ahead, _sideways_variance(speeds, c), of_mean * U / c.tread**2))
 
 
 @compiled
-def _pose_noise_covariance(state: State, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
-    """C: errors of variance ``open_`` (3,) have moved the pose by T times themselves; (0, n) after a fix.
+def _pose_noise_covariance(state: State, since_ns: int, T: float, D: FloatArray) -> FloatArray:
+    """C: errors of variance ``D`` (3,) have moved the pose by T times themselves; (0, n) after a fix.
 
     The yaw rate has no covariance, since a gyro may have observed its error. The covariance with the position
     is bounded by the uncertainty of the position.
@@ -340,7 +348,7 @@ def _pose_noise_covariance(state: State, since_ns: int, T: float, open_: FloatAr
         return np.zeros((0, n))
     C, cos, sin = np.zeros((3, n)), math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     for k, (x, y) in enumerate(((cos, sin), (-sin, cos))):
-        along = max(x * x * P[X, X] + 2.0 * x * y * P[X, Y] + y * y * P[Y, Y], 0.0)
-        shared = min(T * open_[k], _MOST_SHARED * math.sqrt(along * open_[k]))
-        C[k, X], C[k, Y] = x * shared, y * shared
+        variance = max(x * x * P[X, X] + 2.0 * x * y * P[X, Y] + y * y * P[Y, Y], 0.0)
+        covariance = min(T * D[k], _MOST_SHARED * math.sqrt(variance * D[k]))
+        C[k, X], C[k, Y] = x * covariance, y * covariance
     return C

@@ -88,11 +88,11 @@ def has_offset(state: State, source: int, c: Config) -> bool:
 def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν, H and R of a pose; m is 3 where its heading is used, else 2."""
     source, x, R = measurement.source, state.mean[: c.size], stated_noise(measurement, state, c)
-    m, place, shift = R.shape[0], lever(x, state.attitude.level, source, c), stamp_shift(state, source, c)
+    m, arm, shift = R.shape[0], lever(x, state.attitude.level, source, c), stamp_shift(state, source, c)
     H, nu = np.zeros((m, x.size)), np.zeros(m)
-    H[:YAW], H[X, X], H[Y, Y] = place.jacobian, 1.0, 1.0
-    nu[X] = measurement.value[X] - x[X] - place.east
-    nu[Y] = measurement.value[Y] - x[Y] - place.north
+    H[:YAW], H[X, X], H[Y, Y] = arm.jacobian, 1.0, 1.0
+    nu[X] = measurement.value[X] - x[X] - arm.east
+    nu[Y] = measurement.value[Y] - x[Y] - arm.north
     if m > YAW:
         H[YAW, YAW] = 1.0
         nu[YAW] = measurement.value[YAW] - x[YAW]

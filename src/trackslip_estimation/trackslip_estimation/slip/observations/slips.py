@@ -63,9 +63,9 @@ def observe_slips(state: State, measurement: MeasurementRecord, c: Config) -> Ob
     for i in range(2):
         R[i, i] = max(R[i, i], LEAST_VARIANCE)
     if variance > 0.0:
-        e = math.sqrt(variance)
-        by_left = (_slips(x, left + e, right, c) - _slips(x, left - e, right, c)) / 2.0
-        by_right = (_slips(x, left, right + e, c) - _slips(x, left, right - e, c)) / 2.0
+        stddev = math.sqrt(variance)
+        by_left = (_slips(x, left + stddev, right, c) - _slips(x, left - stddev, right, c)) / 2.0
+        by_right = (_slips(x, left, right + stddev, c) - _slips(x, left, right - stddev, c)) / 2.0
         R += np.outer(by_left, by_left) + np.outer(by_right, by_right)
     J = twist_jacobian(x, left, right, c)
     H = slips_jacobian(x, twist(x, left, right, c), J, (left, right), c)[:2].copy()

@@ -60,11 +60,11 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
     """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 if only one axis is measured."""
     source, x, m = measurement.source, state.mean[: c.size], rows_of_velocity(measurement, c)
     left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
-    turn = _rotation(state, source, c)
+    rotation = _rotation(state, source, c)
     u, w = _velocity(state, left, right, source, c), np.empty(2)
-    w[0], w[1] = turn.cos * u[0] - turn.sin * u[1], turn.sin * u[0] + turn.cos * u[1]
+    w[0], w[1] = rotation.cos * u[0] - rotation.sin * u[1], rotation.sin * u[0] + rotation.cos * u[1]
     D, H = _jacobian(state, left, right, source, c), np.empty((2, x.size))
-    H[0], H[1] = turn.cos * D[0] - turn.sin * D[1], turn.sin * D[0] + turn.cos * D[1]
+    H[0], H[1] = rotation.cos * D[0] - rotation.sin * D[1], rotation.sin * D[0] + rotation.cos * D[1]
     if c.body_axes[source] == 0:
         H[0, YAW] -= w[1]
         H[1, YAW] += w[0]
@@ -74,21 +74,24 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
     R = measurement.noise[:m, :m].copy()
     for i in range(m):
         R[i, i] = max(R[i, i], c.velocity_floor[source] ** 2, LEAST_VARIANCE)
-    beyond = np.empty(2)
-    beyond[0], beyond[1] = -turn.sin, turn.cos
-    R += (_sideways_variance(state, left, right, c) * np.outer(beyond, beyond))[:m, :m]
+    vector = np.empty(2)
+    vector[0], vector[1] = -rotation.sin, rotation.cos
+    R += (_sideways_variance(state, left, right, c) * np.outer(vector, vector))[:m, :m]
     if state.coasting and not has_velocity_errors(c):
         R += c.unknown_speed**2 * np.eye(m)
-    beyond[0], beyond[1] = -w[1], w[0]
-    R += (turn.along * np.outer(w, w) + turn.across * np.outer(beyond, beyond))[:m, :m]
+    vector[0], vector[1] = -w[1], w[0]
+    R += (rotation.along * np.outer(w, w) + rotation.across * np.outer(vector, vector))[:m, :m]
     if variance > 0.0:
-        e = math.sqrt(variance)
-        for on_left, on_right in ((e, 0.0), (0.0, e)):
-            more = _velocity(state, left + on_left, right + on_right, source, c)
-            by = (more - _velocity(state, left - on_left, right - on_right, source, c)) / 2.0
-            beyond[0], beyond[1] = turn.cos * by[0] - turn.sin * by[1], turn.sin * by[0] + turn.cos * by[1]
-            R += np.outer(beyond, beyond)[:m, :m]
-    nu, H = measurement.value[:m] - turn.mean * w[:m], turn.mean * H[:m].copy()
+        stddev = math.sqrt(variance)
+        for on_left, on_right in ((stddev, 0.0), (0.0, stddev)):
+            plus = _velocity(state, left + on_left, right + on_right, source, c)
+            by = (plus - _velocity(state, left - on_left, right - on_right, source, c)) / 2.0
+            vector[0], vector[1] = (
+                rotation.cos * by[0] - rotation.sin * by[1],
+                rotation.sin * by[0] + rotation.cos * by[1],
+            )
+            R += np.outer(vector, vector)[:m, :m]
+    nu, H = measurement.value[:m] - rotation.mean * w[:m], rotation.mean * H[:m].copy()
     if state.fault[source] == IS_OFFSET:
         for axis in range(m):
             H[axis, c.offsets[source] + axis] = 1.0
