@@ -5,7 +5,6 @@
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from bench_devices import SICK_BAUD, WATSON_BAUD
 from bench_ros import FLOOR, Listener
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.processes import executable
+from trackslip_sim.demo.run import free_udp_port
 
 DRIVERS = {
     "can_driver": ("sprockets", "hydraulics"),
@@ -108,7 +108,7 @@ def children(directory: Path) -> Iterator[Children]:
 
 def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
     """Name → (load of the driver, load of its floor); all run together, window after window."""
-    port = _free_udp_port()
+    port = free_udp_port()
     nodes = {node.executable: node for node in demo_nodes(_options(directory, port))}
     changes: dict[str, dict[str, object]] = {
         "can_driver": {},
@@ -152,7 +152,7 @@ def graph(directory: Path, seconds: float) -> Graph:
     Half of the time measures the nodes. A quarter measures the graph with a bare relay in place of the slip
     estimator: its latency is the share of CAN driver and rclpy, independent of the estimator.
     """
-    options = _options(directory, _free_udp_port(), seconds)
+    options = _options(directory, free_udp_port(), seconds)
     ours, bare = "odometry", FLOOR + "odometry"
     with children(directory) as running, _listener((), (ours, bare)) as listener:
         for node in demo_nodes(options):
@@ -235,9 +235,3 @@ def _wait_for(path: Path) -> None:
     until = time.monotonic() + 10.0
     while not path.exists() and time.monotonic() < until:
         time.sleep(0.05)
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])

@@ -85,8 +85,8 @@ class Session:
                     raise DemoFailure(f"emulator: not finished {_MAX_END_DELAY:g} s after the drive's end")
                 if now - shown < period:
                     continue
-                coming = [topic for topic in _RATE_TOPICS if self.received[topic]]
-                rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in coming}
+                topics = [topic for topic in _RATE_TOPICS if self.received[topic]]
+                rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in topics}
                 line = status(now - began, self._monitor.pose, self._monitor.slips, rates)
                 shown, before = now, Counter(self.received)
                 if terminal:

@@ -22,7 +22,7 @@ from trackslip_sim.scenarios.checks import check_keys, read_number, read_text
 CAN, WATSON, SICK, GNSS = SENSORS = ("can", "watson", "sick", "gnss")
 _SERIAL = (WATSON, SICK, GNSS)
 _NS_PER_S = 1_000_000_000
-_LONGEST = 86_400.0  # s
+_MAX_DURATION = 86_400.0  # s
 _KEYS = ("sensor", "kind", "start", "duration", "value")
 
 
@@ -107,9 +107,9 @@ class Fault:
             )
         if not math.isfinite(self.start):
             raise InputError(f"fault: start = {self.start!r} is refused; accepted: a finite number of s")
-        if not 0.0 < self.duration <= _LONGEST:
+        if not 0.0 < self.duration <= _MAX_DURATION:
             raise InputError(
-                f"fault: duration = {self.duration!r} is refused; accepted: > 0 and <= {_LONGEST:g} s"
+                f"fault: duration = {self.duration!r} is refused; accepted: > 0 and <= {_MAX_DURATION:g} s"
             )
         if not kind.value and self.value != 0.0:
             raise InputError(f"fault: value = {self.value!r} is refused; accepted: none for {self.kind}")
@@ -172,7 +172,7 @@ class Faults:
     def add(self, fault: Fault, now_ns: int) -> None:
         """Add a fault; remove those that are over."""
         now = self.time(now_ns)
-        self._faults = [known for known in self._faults if known.start + known.duration > now]
+        self._faults = [earlier for earlier in self._faults if earlier.start + earlier.duration > now]
         self._faults.append(fault)
         self.added += 1
 
