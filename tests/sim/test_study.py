@@ -286,7 +286,7 @@ def test_bound_of_drawn_machines_uses_their_distribution(bench: Bench) -> None:
     trials = [make_trial(setting, seed) for seed in range(60)]
     drawn = [FIX_DELAY, GYRO_SCALE, ASYMMETRY]
     found = np.mean([trial.start_state[drawn] ** 2 for trial in trials], axis=0)
-    assert found / np.diag(trials[0].spread)[drawn] == pytest.approx(1.0, abs=0.3)
+    assert found / np.diag(trials[0].truth_covariance)[drawn] == pytest.approx(1.0, abs=0.3)
 
 
 def test_machines_that_are_drawn_do_not_drive_on_terrain() -> None:

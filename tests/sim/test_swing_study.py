@@ -239,10 +239,10 @@ def test_study_swings_the_upper_structure_of_its_vehicle(
     [
         (
             ["--truth", "matched"],
-            "study: truths: matched: cells with box_pose, imu/data_raw above are on the",
+            "study: truths: 'matched' is refused with box_pose, imu/data_raw on the upper structure",
         ),
-        (["--truth", "shear", "drawn"], "study: truths: drawn: cells with box_pose"),
-        (["--terrain", "hill"], "study: terrains: cells with box_pose, imu/data_raw above are on level"),
+        (["--truth", "shear", "drawn"], "study: truths: 'drawn' is refused with box_pose"),
+        (["--terrain", "hill"], "study: terrains: a terrain is refused with box_pose, imu/data_raw on"),
         (["--vehicle", "pc05"], "accepted: a vehicle with upper_structure.drive"),
     ],
 )

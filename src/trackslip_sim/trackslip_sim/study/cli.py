@@ -89,13 +89,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make_study(args: argparse.Namespace) -> Study[Any, Any]:
-    """The study with the given options; ``InputError`` for an option that it does not have."""
+    """The study with the options of the command; ``InputError`` for an option that it does not have."""
     kind = _STUDIES[args.estimator]
-    given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
-    for option in given.keys() - kind.PARAMETERS.keys():
+    values = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
+    for option in values.keys() - kind.PARAMETERS.keys():
         raise InputError(f"--{option.replace('_', '-')}: does not go with --estimator {args.estimator}")
-    named = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
-    return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, [*named, *args.set])
+    vehicle = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
+    return kind({kind.PARAMETERS[option]: value for option, value in values.items()}, [*vehicle, *args.set])
 
 
 def _cache_file() -> Path:
