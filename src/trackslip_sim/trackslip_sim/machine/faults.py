@@ -66,19 +66,17 @@ KINDS: Mapping[str, FaultKind] = MappingProxyType(
         WRONG_BAUD: FaultKind(_SERIAL),  # both ends receive noise
         BUS_OFF: FaultKind((CAN,)),  # an error frame, silence, then the error frame "restarted"
         LOST_FRAMES: FaultKind((CAN,), "share of all frames"),
-        BURSTS: FaultKind(SENSORS, "s for which all is held back, to come at once", 60.0),
+        BURSTS: FaultKind(SENSORS, "s for which data are held back before they arrive at once", 60.0),
         STUCK: FaultKind(SENSORS),  # repeats the measurement at the fault's begin
         NOISE: FaultKind((CAN, WATSON, SICK), "standard deviation, as a share of full scale"),
         POLLUTION: FaultKind((SICK,)),
-        OCCLUSION: FaultKind((SICK,), "rad around the middle beam that something near covers", math.pi),
-        GLARE: FaultKind((SICK,), "share of the rays that are dazzled"),
+        OCCLUSION: FaultKind((SICK,), "rad around the middle beam that a near object covers", math.pi),
+        GLARE: FaultKind((SICK,), "share of the rays lost to glare"),
         RTK_FLOAT: FaultKind((GNSS,)),  # ambiguities are no longer fixed
         CODE_ONLY: FaultKind((GNSS,)),  # corrections are lost
         NO_FIX: FaultKind((GNSS,)),  # too few satellites
-        MULTIPATH: FaultKind(
-            (GNSS,), "m eastward that the position is off, of which the receiver knows nothing", 100.0
-        ),
-        CLOCK_STEP: FaultKind((GNSS,), "s that its clock is ahead of UTC", 86_400.0),
+        MULTIPATH: FaultKind((GNSS,), "m, error of the position to the east that is not stated", 100.0),
+        CLOCK_STEP: FaultKind((GNSS,), "s by which its clock is ahead of UTC", 86_400.0),
     }
 )
 
