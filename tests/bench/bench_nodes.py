@@ -30,8 +30,8 @@ DRIVERS = {
 WINDOW = 5.0  # s of each measurement
 REPEATS = 3
 _WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner changes its rate
-_APPEAR = 60.0  # s until the graph publishes odometry
-_ENDING = 3.0  # s
+_GRAPH_TIMEOUT = 60.0  # s until the graph publishes odometry
+_STOP_TIMEOUT = 3.0  # s
 _CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
 
 
@@ -90,7 +90,7 @@ class Children:
             process.send_signal(signal.SIGINT)
         for process in chosen:
             try:
-                process.wait(_ENDING)
+                process.wait(_STOP_TIMEOUT)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -143,7 +143,7 @@ class Graph:
     floor: Latency  # one hop of rclpy, at the same time
     bare: Latency  # of odometry, with a bare relay in place of the slip estimator
     bag: Path
-    ends: dict[str, bench_bare.Ends]  # subscriptions and publications by node
+    endpoints: dict[str, bench_bare.Endpoints]  # subscriptions and publications by node
 
 
 def graph(directory: Path, seconds: float) -> Graph:
@@ -163,24 +163,24 @@ def graph(directory: Path, seconds: float) -> Graph:
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds / 2)
         after, elapsed = running.cpu_s(), time.monotonic() - began
-        ends = bench_bare.ends_of(listener.node)
+        endpoints = bench_bare.endpoints_of(listener.node)
         odometry, floor = (Latency.of(listener.ages_ms[topic]) for topic in (ours, bare))
         running.stop(("record", "slip_estimator"))
         running.start("relay", [sys.executable, script, "relay"])
-        listener.forget()
+        listener.reset()
         _receive(listener, ours)
         listener.listen(seconds / 4)
         relayed = Latency.of(listener.ages_ms[ours])
     loads = {name: 100.0 * (after[name] - before[name]) / elapsed for name in before}
-    return Graph(loads, odometry, floor, relayed, options.bag, ends)
+    return Graph(loads, odometry, floor, relayed, options.bag, endpoints)
 
 
-def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float]:
+def bare_loads(directory: Path, measured: Graph, seconds: float) -> dict[str, float]:
     """CPU, % of a core, of bare nodes in place of all nodes of a graph (``bench_bare``)."""
     topics, script = directory / "topics.json", str(Path(__file__).parent / "bench_bare.py")
-    bench_bare.write_topics(topics, found.ends, found.bag)
+    bench_bare.write_topics(topics, measured.endpoints, measured.bag)
     with children(directory) as running, _listener((), ("odometry",)) as listener:
-        for name in found.loads.keys() & found.ends.keys():
+        for name in measured.loads.keys() & measured.endpoints.keys():
             running.start(name, [sys.executable, script, str(topics), name])
         _receive(listener, "odometry")
         before, began = running.cpu_s(), time.monotonic()
@@ -191,17 +191,17 @@ def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float
 
 def _receive(listener: Listener, topic: str) -> None:
     """Wait until the topic is flowing, and reset the counts."""
-    until = time.monotonic() + _APPEAR
+    until = time.monotonic() + _GRAPH_TIMEOUT
     while len(listener.ages_ms[topic]) < 100 and time.monotonic() < until:
         listener.listen(0.2)
-    listener.forget()
+    listener.reset()
 
 
 def _measure(running: Children, listener: Listener, topics: dict[str, str]) -> dict[str, Load]:
     """Medians over the windows: CPU of processes, and the rate of a topic of each."""
     windows = []
     for _ in range(REPEATS):
-        listener.forget()
+        listener.reset()
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(WINDOW)
         after, elapsed = running.cpu_s(), time.monotonic() - began
