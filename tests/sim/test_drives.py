@@ -17,7 +17,7 @@ def test_an_untuned_estimator_is_consistent_on_drawn_machines() -> None:
     scores = [scored(seed)[2] for seed in range(4)]
     assert missed_bars(scores) == []
     assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes
-    assert max(s.refused_in_a_row for s in scores) <= 3
+    assert max(s.rejected_in_a_row for s in scores) <= 3
 
 
 def test_tables_fit_a_terminal() -> None:
