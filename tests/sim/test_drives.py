@@ -50,9 +50,9 @@ def test_velocity_errors_have_the_size_that_is_drawn() -> None:
     machine, V = DrawnMachine(velocity_errors=5.0), 0.4
     errors = MotionErrors(machine, 0.73, 0.005, np.random.default_rng(0))
     tracks = np.full((200_000, 2), V)
-    found = errors.apply(tracks, np.zeros((200_000, 3)))[1000:]
-    assert found[:, 0].std() == pytest.approx(np.sqrt(24.0) * 0.0024 * V, rel=0.1)
-    assert found[:, 2].std() == pytest.approx(np.sqrt(24.0) * 0.001 * V / 0.73, rel=0.1)
+    drawn = errors.apply(tracks, np.zeros((200_000, 3)))[1000:]
+    assert drawn[:, 0].std() == pytest.approx(np.sqrt(24.0) * 0.0024 * V, rel=0.1)
+    assert drawn[:, 2].std() == pytest.approx(np.sqrt(24.0) * 0.001 * V / 0.73, rel=0.1)
 
 
 def test_a_circle_closes() -> None:

@@ -48,14 +48,14 @@ def bag(truth: Truth, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
     """(seconds of the drive, message) by topic."""
     path = tmp_path_factory.mktemp("slope") / "bag"
     record_drive(PARAMETERS, truth, path)
-    found: dict[str, list[tuple[float, Any]]] = {}
+    by_topic: dict[str, list[tuple[float, Any]]] = {}
     requested = ["/imu/data_raw", "/truth/attitude", "/truth/odometry", "/gnss_pose", "/fix", "/heading"]
     with open_bag(path) as reader:
         for m in reader.messages(requested):
             message = reader.deserialize(m.raw, m.type_name)
             stamp = message.header.stamp
-            found.setdefault(m.topic, []).append((stamp.sec - 7.0 + stamp.nanosec * 1e-9, message))
-    return found
+            by_topic.setdefault(m.topic, []).append((stamp.sec - 7.0 + stamp.nanosec * 1e-9, message))
+    return by_topic
 
 
 def placements(truth: Truth, times: list[float]) -> list[Placement]:
@@ -67,8 +67,8 @@ def placements(truth: Truth, times: list[float]) -> list[Placement]:
 def of_drive(
     messages: list[tuple[float, Any]], end: float, begin: float = 0.0
 ) -> tuple[list[float], list[Any]]:
-    kept = [(t, m) for t, m in messages if begin <= t <= end]
-    return [t for t, _ in kept], [m for _, m in kept]
+    within = [(t, m) for t, m in messages if begin <= t <= end]
+    return [t for t, _ in within], [m for _, m in within]
 
 
 def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
@@ -76,15 +76,15 @@ def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
     sensors = MachineSensors(TruthWindow((slope,), 2.0), PARAMETERS.noise, 7 * S, 1)
     sample = sensors.imu(5 * S)
     roll = math.radians(15.0)
-    felt = (0.0, GRAVITY * math.sin(roll), GRAVITY * math.cos(roll))
-    assert sample.acceleration == pytest.approx(felt, abs=1e-9)
+    expected = (0.0, GRAVITY * math.sin(roll), GRAVITY * math.cos(roll))
+    assert sample.acceleration == pytest.approx(expected, abs=1e-9)
     assert sample.angular_velocity == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.slow
 def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/imu/data_raw"], truth.duration - 0.1, 0.1)
-    felt = np.array(
+    measured = np.array(
         [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
     )
     gravity = np.array([p.rotation()[2] * GRAVITY for p in placements(truth, times)])
@@ -92,9 +92,11 @@ def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Trut
     changes = [np.interp(times, truth.t, np.gradient(v, truth.t)) for v in (truth.v_x, truth.v_y)]
     ahead, left = changes[0] - at.yaw_rate * at.v_y, changes[1] + at.yaw_rate * at.v_x
     assert np.degrees(at.pitch).min() < -10.0  # nose up
-    np.testing.assert_allclose(felt[:, 0], gravity[:, 0] + ahead, atol=0.011)  # resolution of the line: 1 mg
-    np.testing.assert_allclose(felt[:, 1], gravity[:, 1] + left, atol=0.011)
-    np.testing.assert_allclose(felt[:, 2], gravity[:, 2], atol=0.05)
+    np.testing.assert_allclose(
+        measured[:, 0], gravity[:, 0] + ahead, atol=0.011
+    )  # resolution of the line: 1 mg
+    np.testing.assert_allclose(measured[:, 1], gravity[:, 1] + left, atol=0.011)
+    np.testing.assert_allclose(measured[:, 2], gravity[:, 2], atol=0.05)
 
 
 def test_gyros_feel_all_three_rates(bag: dict[str, Any], truth: Truth) -> None:

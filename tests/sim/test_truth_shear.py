@@ -33,8 +33,8 @@ INNER_60 = {
 STRAIGHT_SLIP = {"sand": 0.0072, "sandy_loam": 0.016, "clayey_soil": 0.016, "dry_clay": 0.0016}
 
 
-def drive(*segments: tuple[float, float, float], soil: str = "sand", **more: object) -> Scenario:
-    return Scenario(name="test", soil=soil, segments=tuple(Segment(*s) for s in segments), **more)
+def drive(*segments: tuple[float, float, float], soil: str = "sand", **fields: object) -> Scenario:
+    return Scenario(name="test", soil=soil, segments=tuple(Segment(*s) for s in segments), **fields)
 
 
 def random_drive(seed: int, soil: str) -> Scenario:
