@@ -119,8 +119,10 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
     floors = {f"floor_{name}": FLOOR + topic for name, topic in real.items()}
     topics = tuple(topic for topics in DRIVERS.values() for topic in topics)
     with children(directory) as running, _listener(topics) as listener:
-        here = Path(__file__).parent
-        running.start("devices", [sys.executable, str(here / "bench_devices.py"), str(directory), str(port)])
+        folder = Path(__file__).parent
+        running.start(
+            "devices", [sys.executable, str(folder / "bench_devices.py"), str(directory), str(port)]
+        )
         _wait_for(directory / "sick")
         for name, parameters in changes.items():
             running.start_node(replace(nodes[name], parameters={**nodes[name].parameters, **parameters}))
@@ -128,7 +130,7 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
         loads = _measure(running, listener, real)
     with children(directory) as running, _listener(tuple(FLOOR + topic for topic in topics)) as listener:
         for name in DRIVERS:
-            running.start(f"floor_{name}", [sys.executable, str(here / "bench_ros.py"), name])
+            running.start(f"floor_{name}", [sys.executable, str(folder / "bench_ros.py"), name])
         listener.listen(3.0)
         loads |= _measure(running, listener, floors)
     return {name: (loads[name], loads[f"floor_{name}"]) for name in DRIVERS}

@@ -195,8 +195,8 @@ def test_faults_of_the_scanner():
     assert np.isnan(bad.ranges(11 * S)).mean() == pytest.approx(0.3, abs=0.1)
     assert (bad.status(S), bad.status(11 * S)) == (0, 0x80)
     noisy, plain = bad.ranges(21 * S), readings().ranges(21 * S)
-    seen = np.isfinite(plain)
-    assert np.std(noisy[seen] - plain[seen]) == pytest.approx(1.0, rel=0.2)  # at 50 m
+    is_hit = np.isfinite(plain)
+    assert np.std(noisy[is_hit] - plain[is_hit]) == pytest.approx(1.0, rel=0.2)  # at 50 m
 
 
 def test_port_comes_back_under_its_name(tmp_path):

@@ -92,9 +92,8 @@ def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Trut
     changes = [np.interp(times, truth.t, np.gradient(v, truth.t)) for v in (truth.v_x, truth.v_y)]
     ahead, left = changes[0] - at.yaw_rate * at.v_y, changes[1] + at.yaw_rate * at.v_x
     assert np.degrees(at.pitch).min() < -10.0  # nose up
-    np.testing.assert_allclose(
-        measured[:, 0], gravity[:, 0] + ahead, atol=0.011
-    )  # resolution of the line: 1 mg
+    # The resolution of the line is 1 mg.
+    np.testing.assert_allclose(measured[:, 0], gravity[:, 0] + ahead, atol=0.011)
     np.testing.assert_allclose(measured[:, 1], gravity[:, 1] + left, atol=0.011)
     np.testing.assert_allclose(measured[:, 2], gravity[:, 2], atol=0.05)
 

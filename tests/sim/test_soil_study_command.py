@@ -86,9 +86,9 @@ def test_command_writes_rows_and_tables(
     assert len(counted.trials) == 6 * 2
 
 
-def timeless(shown: str) -> list[str]:
+def timeless(output: str) -> list[str]:
     """The lines of the output, except the one with the duration of the study."""
-    return [line for line in shown.splitlines() if not re.fullmatch(r"\d+ .* in [\d.]+ s", line)]
+    return [line for line in output.splitlines() if not re.fullmatch(r"\d+ .* in [\d.]+ s", line)]
 
 
 def trials_of(

@@ -126,9 +126,9 @@ def assert_same(rows: Any, others: Any) -> None:
 def test_filters_are_compared_on_the_same_draws(truth: str, bench: Bench) -> None:
     ekf, daf, again = (bench.trial(cell(truth, name), seed=1) for name in ("ekf", "daf", "ekf"))
     other = bench.trial(cell(truth, soil="dry_clay"), seed=1)
-    for mine, its, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
-        assert_same(mine, its)
-        assert_same(mine, repeated)
+    for of_ekf, of_daf, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
+        assert_same(of_ekf, of_daf)
+        assert_same(of_ekf, repeated)
     assert not np.array_equal(ekf.rows.measurements["value"], other.rows.measurements["value"])
 
 
@@ -237,11 +237,11 @@ def test_a_trace_shows_the_run_that_is_scored(bench: Bench) -> None:
     setting = bench.setting(cell(SHEAR))
     run, sums = trace(setting, seed=2), scored(setting, make_trial(setting, seed=2))
     later = run.t > bench.p.settling
-    for mine, its, columns in (
+    for estimated, true, columns in (
         (run.estimated_slips, run.slips, slice(3, 6)),
         (run.estimated_poses, run.poses, OF_POSE),
     ):
-        np.testing.assert_allclose(np.square(mine - its)[later], sums.squares[:, columns], atol=1e-9)
+        np.testing.assert_allclose(np.square(estimated - true)[later], sums.squares[:, columns], atol=1e-9)
     assert (run.slip_deviations[later, :2] > 0.0).all()
 
 
