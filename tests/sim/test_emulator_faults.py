@@ -106,7 +106,7 @@ def test_bus_off_is_reported_and_so_is_the_restart():
     assert len(frames_between(sent, 3.0, 4.0)) == pytest.approx(301, abs=3)
 
 
-def test_frames_and_bytes_go_missing_at_the_rate_asked_for():
+def test_frames_and_bytes_are_lost_at_the_requested_rate():
     sent = run(
         Fault("can", "lost_frames", 2.0, 4.0, 0.25),
         Fault("watson", "lost_bytes", 6.0, 5.0, 0.1),

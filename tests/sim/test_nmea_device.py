@@ -126,7 +126,7 @@ def test_fixes_come_at_their_rate_within_their_error_and_at_their_epochs(rate):
     assert not chain.tally.total
 
 
-def test_fixed_float_none_fixed():
+def test_receiver_goes_from_fixed_to_float_to_no_fix_and_back():
     chain = Chain(Fault("gnss", "rtk_float", 10.0, 30.0), Fault("gnss", "no_fix", 40.0, 5.0))
     places, headings = chain.run(55.0)
     stamps, errors = places[:, 0], np.hypot(places[:, 1], places[:, 2])

@@ -71,7 +71,7 @@ def of_drive(
     return [t for t, _ in within], [m for _, m in within]
 
 
-def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
+def test_accelerometers_measure_gravity_alone_before_the_drive() -> None:
     slope = simulate(load_scenario("side_slope").with_duration(2.0))
     sensors = MachineSensors(TruthWindow((slope,), 2.0), PARAMETERS.noise, 7 * S, 1)
     sample = sensors.imu(5 * S)
@@ -82,7 +82,7 @@ def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
 
 
 @pytest.mark.slow
-def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Truth) -> None:
+def test_accelerometers_measure_gravity_and_motion(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/imu/data_raw"], truth.duration - 0.1, 0.1)
     measured = np.array(
         [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
@@ -98,7 +98,7 @@ def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Trut
     np.testing.assert_allclose(measured[:, 2], gravity[:, 2], atol=0.05)
 
 
-def test_gyros_feel_all_three_rates(bag: dict[str, Any], truth: Truth) -> None:
+def test_gyros_measure_all_three_rates(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/imu/data_raw"], truth.duration)
     rates = np.array([(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages])
     at = truth.interpolate(times)
@@ -136,14 +136,16 @@ def test_an_antenna_leans_with_the_machine(bag: dict[str, Any], truth: Truth) ->
     assert climb == pytest.approx(antennas[:, 2], abs=0.1)
 
 
-def test_a_pair_of_antennas_shows_the_heading_seen_from_above(bag: dict[str, Any], truth: Truth) -> None:
+def test_a_pair_of_antennas_measures_the_heading_in_the_horizontal_plane(
+    bag: dict[str, Any], truth: Truth
+) -> None:
     times, messages = of_drive(bag["/heading"], truth.duration, 0.5)
     yaw = np.array([2.0 * math.atan2(m.orientation.z, m.orientation.w) for m in messages])
     errors = yaw - truth.interpolate(times).yaw
     assert np.abs(np.remainder(errors + math.pi, 2.0 * math.pi) - math.pi).max() < 1e-3
 
 
-def test_off_the_axes_a_pair_turns_with_roll() -> None:
+def test_azimuth_of_an_oblique_pair_depends_on_roll() -> None:
     place = Placement(x=0.0, y=0.0, yaw=4.0, roll=0.3)
     assert place.azimuth(0.0) == pytest.approx(4.0)
     assert place.azimuth(0.5) == pytest.approx(4.0 + math.atan(math.tan(0.5) * math.cos(0.3)))

@@ -120,7 +120,7 @@ def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
 # Scores
 
 
-def test_a_turn_is_steady_once_it_has_lasted() -> None:
+def test_a_turn_is_steady_after_two_seconds() -> None:
     truth = driven((3.0, 2.0, 2.0), (5.0, 1.2, 2.2), (5.0, 1.9, 2.0), (5.0, 2.2, 1.2), (4.0, 2.2, 1.8))
     times = np.arange(0.0, truth.duration, 0.25)
     steady = times[steady_turns(truth, times)]

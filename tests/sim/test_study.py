@@ -270,7 +270,7 @@ def test_filter_on_a_slope_is_near_its_bound_unless_it_ignores_the_slope(
     assert row.ignoring_nees_pose > 2.0 * row.nees_pose
 
 
-def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrain(bench: Bench) -> None:
+def test_accelerations_are_measured_on_terrain_only(bench: Bench) -> None:
     plain, sloping = (
         bench.trial(replace(cell(SHEAR), terrain=terrain)).rows.measurements["acceleration"]
         for terrain in ("", "side_slope_15")

@@ -120,7 +120,7 @@ def test_without_commands_nothing_moves() -> None:
         assert not getattr(truth, name).any()
 
 
-def test_comes_to_rest_without_chatter() -> None:
+def test_machine_comes_to_rest_without_chatter() -> None:
     truth = simulate(drive((5.0, 2.5, 1.0), (5.0, 0.0, 0.0)))
     rest = truth.interpolate(np.arange(7.0, 10.0, 0.005))
     assert np.ptp(rest.x) < 1e-5

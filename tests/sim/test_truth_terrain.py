@@ -245,7 +245,7 @@ def test_slopes_and_bends_are_derivatives_of_the_height(terrain: Terrain, x: flo
 
 
 @given(terrain=TERRAINS, x=PLACE, y=PLACE, yaw=ANGLE, v=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
-def test_moves_along_the_ground_by_its_rates(
+def test_pose_advances_along_the_ground_by_the_body_rates(
     terrain: Terrain, x: float, y: float, yaw: float, v: tuple[float, float, float]
 ) -> None:
     step, ground, shape = 1e-3, terrain.map, np.zeros(6)
