@@ -92,7 +92,7 @@ def _graph(directory: Path) -> None:
     floor = f"bare nodes {sum(floors[name] for name in loads):.1f} %"
     show("CPU of all live nodes together", f"{sum(loads.values()):.1f} %", floor, "≤ 30 %")
     for which in ("p50", "p99"):
-        age, bare, floor = (getattr(it, which) for it in (graph.odometry, graph.bare, graph.floor))
+        age, bare, floor = (getattr(latency, which) for latency in (graph.odometry, graph.bare, graph.floor))
         beside = f"{age / floor:.1f} × one hop of rclpy, {floor:.2f} ms"
         show(f"stamp of sprockets → odometry, {which}", f"{age:.2f} ms", beside, "≤ 3 ×")
         show(f"  a bare relay for the estimator, {which}", f"{bare:.2f} ms", f"{bare / floor:.1f} ×")
@@ -100,7 +100,7 @@ def _graph(directory: Path) -> None:
         p = load_slip_parameters(bag_parameters(bag))
         seconds = _median(lambda: _seconds(lambda: replay(bag, p, InputFilters(), None)))
         show(
-            f"replay of a bag of {bag.duration_s:.0f} s, all told",
+            f"replay of a bag of {bag.duration_s:.0f} s, in total",
             f"{bag.duration_s / seconds:.0f} × real time",
         )
         cost_us = _median(lambda: _estimator_us(bag, p))

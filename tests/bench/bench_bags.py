@@ -65,8 +65,8 @@ def _read(bag: Bag) -> None:
 
 
 def _median(measure: Callable[[], float]) -> float:
-    found = [measure() for _ in range(1 + RUNS)]
-    return statistics.median(found[1:])  # the first run compiles
+    values = [measure() for _ in range(1 + RUNS)]
+    return statistics.median(values[1:])  # the first run compiles
 
 
 def _timed(function: Callable[[], Any]) -> float:

@@ -28,9 +28,9 @@ from trackslip_common.nodes.qos import best_effort_qos, publisher_qos, reliable_
 from trackslip_common.nodes.run import Executor
 from trackslip_common.topics import TOPICS
 
-Ends = dict[str, dict[str, bool]]  # "takes" and "publishes": topic → whether reliably
+Endpoints = dict[str, dict[str, bool]]  # "subscribes" and "publishes": topic → whether reliably
 _ESTIMATE = ("odometry", "odometry/local", "attitude", "swing/estimate", "track_slip", "machine_state")
-_BECAUSE_OF = {
+_TRIGGERS = {  # topic → topics whose messages trigger it
     **dict.fromkeys(_ESTIMATE, ("sprockets",)),
     "box_pose": ("scan",),
     "measurement_reports": ("sprockets", "imu/data_raw", "box_pose"),
@@ -38,19 +38,19 @@ _BECAUSE_OF = {
 _SPIN = 0.1  # s, as in the real nodes
 
 
-def ends_of(node: Any) -> dict[str, Ends]:
+def endpoints_of(node: Any) -> dict[str, Endpoints]:
     """Project topics that each node subscribes to and publishes, by node name, as ``node`` sees them."""
-    found: dict[str, Ends] = defaultdict(lambda: {"takes": {}, "publishes": {}})
+    endpoints: dict[str, Endpoints] = defaultdict(lambda: {"subscribes": {}, "publishes": {}})
     for topic in TOPICS:
-        for end in node.get_publishers_info_by_topic(f"/{topic}"):
-            found[end.node_name]["publishes"][topic] = True
-        for end in node.get_subscriptions_info_by_topic(f"/{topic}"):
-            reliable = end.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-            found[end.node_name]["takes"][topic] = reliable
-    return dict(found)
+        for endpoint in node.get_publishers_info_by_topic(f"/{topic}"):
+            endpoints[endpoint.node_name]["publishes"][topic] = True
+        for endpoint in node.get_subscriptions_info_by_topic(f"/{topic}"):
+            reliable = endpoint.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+            endpoints[endpoint.node_name]["subscribes"][topic] = reliable
+    return dict(endpoints)
 
 
-def write_topics(path: Path, nodes: dict[str, Ends], bag_path: Path) -> None:
+def write_topics(path: Path, nodes: dict[str, Endpoints], bag_path: Path) -> None:
     """Write the JSON file, with messages and rates of a bag."""
     messages: dict[str, str] = {}
     counts: Counter[str] = Counter()
@@ -70,18 +70,18 @@ def run(path: Path, name: str) -> None:
     """Run until interrupted; SIGINT sets a flag, because rclpy could drop an exception."""
     ended: list[int] = []
     signal.signal(signal.SIGINT, lambda number, _: ended.append(number))
-    known = json.loads(path.read_text(encoding="utf-8"))
-    own, topics = known["nodes"][name], known["topics"]
+    content = json.loads(path.read_text(encoding="utf-8"))
+    own, topics = content["nodes"][name], content["topics"]
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name)
     outputs = {topic: _output(node, topic, topics[topic]) for topic in own["publishes"] if topic in topics}
-    for topic, is_reliable in own["takes"].items():
+    for topic, is_reliable in own["subscribes"].items():
         if topic in topics:
-            caused = [publish for of, publish in outputs.items() if topic in _BECAUSE_OF.get(of, ())]
+            triggered = [publish for output, publish in outputs.items() if topic in _TRIGGERS.get(output, ())]
             kind, qos = topic_class(topic), reliable_qos() if is_reliable else best_effort_qos()
-            node.create_subscription(kind, topic, _calling(caused), qos, raw=True)
+            node.create_subscription(kind, topic, _call_all(triggered), qos, raw=True)
     for topic, publish in outputs.items():
-        if topic not in _BECAUSE_OF:
+        if topic not in _TRIGGERS:
             period = 1.0 / topics[topic]["rate"]
             threading.Thread(target=_repeat, args=(publish, period), daemon=True).start()
     executor = Executor()
@@ -90,16 +90,16 @@ def run(path: Path, name: str) -> None:
         executor.spin_until_future_complete(Future(), _SPIN)
 
 
-def _output(node: Any, topic: str, known: dict[str, Any]) -> Callable[[], None]:
+def _output(node: Any, topic: str, entry: dict[str, Any]) -> Callable[[], None]:
     publisher = node.create_publisher(topic_class(topic), topic, publisher_qos(topic))
-    message = bytes.fromhex(known["message"])
+    message = bytes.fromhex(entry["message"])
     return lambda: publisher.publish(message)
 
 
-def _calling(publish: list[Callable[[], None]]) -> Callable[[bytes], None]:
+def _call_all(functions: list[Callable[[], None]]) -> Callable[[bytes], None]:
     def call(_: bytes) -> None:
-        for each in publish:
-            each()
+        for function in functions:
+            function()
 
     return call
 

@@ -36,14 +36,14 @@ TILT_ROWS = 2  # specific force along and across the machine
 def rows() -> list[tuple[str, str, str, str]]:
     """Rows (quantity, here, beside, bar): CPU per measurement; half are sprockets (predict), half gyro."""
     drive = _drive()
-    found = {}
+    seconds_of = {}
     for model in ("turning", "icr", "free_slips"):
         for kind in ("ekf", "daf"):
             p = load_slip_parameters({"model": model, "filter": kind})
             log = make_log(to_records(drive, SlipEstimator(p).sources), p)
             _run(log, p)  # compiles at the first call
-            found[model, kind] = min(_timed(_run, log, p) for _ in range(REPEATS)) / ROWS
-    beside = _beside(drive, found["turning", "ekf"])
+            seconds_of[model, kind] = min(_timed(_run, log, p) for _ in range(REPEATS)) / ROWS
+    beside = _beside(drive, seconds_of["turning", "ekf"])
     table = [
         (
             f"{kind.upper()} of model {model}, batch",
@@ -51,13 +51,13 @@ def rows() -> list[tuple[str, str, str, str]]:
             beside if (model, kind) == ("turning", "ekf") else "",
             "≤ 2.5 µs, ≥ 8 ×" if (model, kind) == ("turning", "ekf") else "",
         )
-        for (model, kind), seconds in found.items()
+        for (model, kind), seconds in seconds_of.items()
     ]
     estimator = SlipEstimator(load_slip_parameters())
     seconds = _timed(_one_by_one, estimator, drive) / ROWS
     return [
         *table,
-        ("a live measurement in order, all that adapts", f"{1e6 * seconds:.1f} µs", "", "≤ 30 µs"),
+        ("a live measurement in order, with all adaptations", f"{1e6 * seconds:.1f} µs", "", "≤ 30 µs"),
         _joint_state(),
     ]
 
@@ -65,13 +65,13 @@ def rows() -> list[tuple[str, str, str, str]]:
 def _joint_state() -> tuple[str, str, str, str]:
     """Cost of one joint state of pose, slip and attitude against the two separate states."""
     planar = int(SlipEstimator(load_slip_parameters()).config["size"][0])
-    apart = _algebra(planar, COUPLED, 1) + _algebra(ATTITUDE_SIZE, ATTITUDE_SIZE, TILT_ROWS)
+    separate = _algebra(planar, COUPLED, 1) + _algebra(ATTITUDE_SIZE, ATTITUDE_SIZE, TILT_ROWS)
     both, coupled = planar + ATTITUDE_SIZE, COUPLED + ATTITUDE_SIZE
     joint = _algebra(both, coupled, 1) + _algebra(both, coupled, TILT_ROWS)
     return (
         f"algebra of a gyro and a tilt, states of {planar} and {ATTITUDE_SIZE}",
-        f"{1e6 * apart:.1f} µs",
-        f"one of {both}: {1e6 * joint:.1f} µs, {joint / apart:.1f} ×",
+        f"{1e6 * separate:.1f} µs",
+        f"one of {both}: {1e6 * joint:.1f} µs, {joint / separate:.1f} ×",
         "",
     )
 
@@ -122,8 +122,8 @@ def _beside(drive: list[Measurement], ours: float) -> str:
     if importlib.util.find_spec("filterpy") is None:
         return "filterpy is not installed"
     kalman = importlib.import_module("filterpy.kalman")
-    some = drive[: ROWS // 10]
-    seconds = min(_filterpy(kalman, some) for _ in range(REPEATS)) / len(some)
+    part = drive[: ROWS // 10]
+    seconds = min(_filterpy(kalman, part) for _ in range(REPEATS)) / len(part)
     return f"filterpy {1e6 * seconds:.0f} µs, {seconds / ours:.0f} ×"
 
 
@@ -137,20 +137,20 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
     states = window.best[1 : window.count]  # sprocket states
     c, start = estimator.config[0], estimator.window.best[0]
     size = int(c["size"])
-    their = kalman.ExtendedKalmanFilter(size, 1)
-    their.x, their.P = start["mean"][:size].copy(), start["covariance"][:size, :size].copy()
-    room = states[:1].copy()
+    peer = kalman.ExtendedKalmanFilter(size, 1)
+    peer.x, peer.P = start["mean"][:size].copy(), start["covariance"][:size, :size].copy()
+    scratch = states[:1].copy()
     began = time.process_time()
-    for measurement, drive_ in zip(log.rest, states, strict=True):
-        moved, their.F, their.Q = linearize(their.x, their.P, drive_, STEP_NS * 1e-9, c)
-        their.predict()
-        their.x = moved
+    for measurement, state in zip(log.rest, states, strict=True):
+        propagated, peer.F, peer.Q = linearize(peer.x, peer.P, state, STEP_NS * 1e-9, c)
+        peer.predict()
+        peer.x = propagated
         if measurement["kind"] == SPROCKETS:  # sprockets are inputs, not measurements
             continue
-        room[0] = drive_
-        room["mean"][0, :size] = their.x
-        o = observe(room[0], measurement, c)
-        their.update(o.innovation, lambda x, o=o: o.jacobian, lambda x, o=o: 0.0 * o.innovation, o.noise)
+        scratch[0] = state
+        scratch["mean"][0, :size] = peer.x
+        o = observe(scratch[0], measurement, c)
+        peer.update(o.innovation, lambda x, o=o: o.jacobian, lambda x, o=o: 0.0 * o.innovation, o.noise)
     return time.process_time() - began
 
 

@@ -35,7 +35,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
 PAGE_B = os.sysconf("SC_PAGE_SIZE")
 DRIVERS = ("can_driver", "watson_imu", "sick_pls")
 ESTIMATORS = ("box_localizer", "slip_estimator", "soil_estimator", "record")
-SETTLED_S = 20.0  # s after the start
+SETTLING_S = 20.0  # s after the start
 SHOWN: dict[str, Any] = {}  # the newest frame
 
 Visit = Callable[[list[int], int], Awaitable[None]]  # a page: counts its frames in its element of the list
@@ -53,21 +53,21 @@ def main() -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     start = "from trackslip_tools.nodes.live import main; main()"
     command = [sys.executable, "-c", start, "--ros-args", "-p", f"port:={PORT}"]
-    over = threading.Event()
-    feeder = threading.Thread(target=drive, args=(over,))
+    stop = threading.Event()
+    feeder = threading.Thread(target=drive, args=(stop,))
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as node:
         feeder.start()
         try:
-            visit = browse if options.chromium else look
+            visit = browse if options.chromium else read_frames
             asyncio.run(measure(node.pid, options.minutes * 60.0, options.pages, visit))
         finally:
-            over.set()
+            stop.set()
             feeder.join()
             node.terminate()
     return 0
 
 
-def drive(over: threading.Event) -> None:
+def drive(stop: threading.Event) -> None:
     """Publish the messages of a machine's nodes at their rates."""
     rclpy.init()
     node = rclpy.create_node("bench")
@@ -81,15 +81,15 @@ def drive(over: threading.Event) -> None:
     }
     outlets = {topic: node.create_publisher(kind, topic, 100) for topic, kind in kinds.items()}
     step, began = 0, time.monotonic()
-    while not over.wait(max(0.0, began + 0.01 * step - time.monotonic())):
-        for topic, message in due(step):
+    while not stop.wait(max(0.0, began + 0.01 * step - time.monotonic())):
+        for topic, message in messages_at(step):
             outlets[topic].publish(message)
         step += 1
     node.destroy_node()
     rclpy.shutdown()
 
 
-def due(step: int) -> list[tuple[str, Any]]:
+def messages_at(step: int) -> list[tuple[str, Any]]:
     """(topic, message) pairs of the step-th hundredth of a second."""
     t = 0.01 * step
     odometry = Odometry()
@@ -97,17 +97,19 @@ def due(step: int) -> list[tuple[str, Any]]:
     odometry.pose.pose.orientation.w = 1.0
     odometry.pose.covariance[0] = odometry.pose.covariance[7] = 1e-4
     slip = TrackSlip(left_slip=0.1 + 0.1 * math.sin(t), right_slip=0.02, motion_state=TrackSlip.STRAIGHT)
-    found: list[tuple[str, Any]] = [("odometry", odometry), ("track_slip", slip)]
+    messages: list[tuple[str, Any]] = [("odometry", odometry), ("track_slip", slip)]
     if step % 10 == 0:
-        found.append(("track_forces", TrackForces(left_thrust=2000.0 * math.sin(t), left_thrust_reserve=0.5)))
+        messages.append(
+            ("track_forces", TrackForces(left_thrust=2000.0 * math.sin(t), left_thrust_reserve=0.5))
+        )
     if step % 24 == 0:
         fix = PoseWithCovarianceStamped()
         fix.pose.pose.position.x, fix.pose.pose.orientation.w = 0.4 * t, 1.0
-        found.append(("box_pose", fix))
+        messages.append(("box_pose", fix))
     if step % 100 == 0:
-        found.append(("soil", SoilEstimate(shear_modulus=0.01, shear_modulus_upper=0.02)))
-        found += [("/diagnostics", diagnostics(name, step)) for name in (*DRIVERS, *ESTIMATORS)]
-    return found
+        messages.append(("soil", SoilEstimate(shear_modulus=0.01, shear_modulus_upper=0.02)))
+        messages += [("/diagnostics", diagnostics(name, step)) for name in (*DRIVERS, *ESTIMATORS)]
+    return messages
 
 
 def diagnostics(name: str, step: int) -> DiagnosticArray:
@@ -119,8 +121,8 @@ def diagnostics(name: str, step: int) -> DiagnosticArray:
 async def measure(pid: int, seconds: float, pages: int, visit: Visit) -> None:
     """Print CPU and memory of the process while pages are connected."""
     counts = [0] * pages
-    looking = [asyncio.ensure_future(visit(counts, k)) for k in range(pages)]
-    await asyncio.sleep(SETTLED_S)
+    tasks = [asyncio.ensure_future(visit(counts, k)) for k in range(pages)]
+    await asyncio.sleep(SETTLING_S)
     began, used, first = time.monotonic(), cpu_s(pid), list(counts)
     print(f"{'minutes':>8}{'core, %':>9}{'memory, MB':>12}", flush=True)
     report_s = min(max(seconds / 10.0, 5.0), 60.0)
@@ -134,12 +136,12 @@ async def measure(pid: int, seconds: float, pages: int, visit: Visit) -> None:
     ]
     print("frames a second of each page:", *(f"{rate:.2f}" for rate in rates))
     print(f"shown at the end: {SHOWN}")
-    for one in looking:
-        one.cancel()
-    await asyncio.gather(*looking, return_exceptions=True)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def look(counts: list[int], number: int) -> None:
+async def read_frames(counts: list[int], number: int) -> None:
     """A page: connects with retries and decodes all frames."""
     while True:
         try:

@@ -5,7 +5,6 @@
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from bench_devices import SICK_BAUD, WATSON_BAUD
 from bench_ros import FLOOR, Listener
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.processes import executable
+from trackslip_sim.demo.run import free_udp_port
 
 DRIVERS = {
     "can_driver": ("sprockets", "hydraulics"),
@@ -30,8 +30,8 @@ DRIVERS = {
 WINDOW = 5.0  # s of each measurement
 REPEATS = 3
 _WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner changes its rate
-_APPEAR = 60.0  # s until the graph publishes odometry
-_ENDING = 3.0  # s
+_GRAPH_TIMEOUT = 60.0  # s until the graph publishes odometry
+_STOP_TIMEOUT = 3.0  # s
 _CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
 
 
@@ -90,7 +90,7 @@ class Children:
             process.send_signal(signal.SIGINT)
         for process in chosen:
             try:
-                process.wait(_ENDING)
+                process.wait(_STOP_TIMEOUT)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -108,7 +108,7 @@ def children(directory: Path) -> Iterator[Children]:
 
 def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
     """Name → (load of the driver, load of its floor); all run together, window after window."""
-    port = _free_udp_port()
+    port = free_udp_port()
     nodes = {node.executable: node for node in demo_nodes(_options(directory, port))}
     changes: dict[str, dict[str, object]] = {
         "can_driver": {},
@@ -119,8 +119,10 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
     floors = {f"floor_{name}": FLOOR + topic for name, topic in real.items()}
     topics = tuple(topic for topics in DRIVERS.values() for topic in topics)
     with children(directory) as running, _listener(topics) as listener:
-        here = Path(__file__).parent
-        running.start("devices", [sys.executable, str(here / "bench_devices.py"), str(directory), str(port)])
+        folder = Path(__file__).parent
+        running.start(
+            "devices", [sys.executable, str(folder / "bench_devices.py"), str(directory), str(port)]
+        )
         _wait_for(directory / "sick")
         for name, parameters in changes.items():
             running.start_node(replace(nodes[name], parameters={**nodes[name].parameters, **parameters}))
@@ -128,7 +130,7 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
         loads = _measure(running, listener, real)
     with children(directory) as running, _listener(tuple(FLOOR + topic for topic in topics)) as listener:
         for name in DRIVERS:
-            running.start(f"floor_{name}", [sys.executable, str(here / "bench_ros.py"), name])
+            running.start(f"floor_{name}", [sys.executable, str(folder / "bench_ros.py"), name])
         listener.listen(3.0)
         loads |= _measure(running, listener, floors)
     return {name: (loads[name], loads[f"floor_{name}"]) for name in DRIVERS}
@@ -143,7 +145,7 @@ class Graph:
     floor: Latency  # one hop of rclpy, at the same time
     bare: Latency  # of odometry, with a bare relay in place of the slip estimator
     bag: Path
-    ends: dict[str, bench_bare.Ends]  # subscriptions and publications by node
+    endpoints: dict[str, bench_bare.Endpoints]  # subscriptions and publications by node
 
 
 def graph(directory: Path, seconds: float) -> Graph:
@@ -152,7 +154,7 @@ def graph(directory: Path, seconds: float) -> Graph:
     Half of the time measures the nodes. A quarter measures the graph with a bare relay in place of the slip
     estimator: its latency is the share of CAN driver and rclpy, independent of the estimator.
     """
-    options = _options(directory, _free_udp_port(), seconds)
+    options = _options(directory, free_udp_port(), seconds)
     ours, bare = "odometry", FLOOR + "odometry"
     with children(directory) as running, _listener((), (ours, bare)) as listener:
         for node in demo_nodes(options):
@@ -163,24 +165,24 @@ def graph(directory: Path, seconds: float) -> Graph:
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds / 2)
         after, elapsed = running.cpu_s(), time.monotonic() - began
-        ends = bench_bare.ends_of(listener.node)
+        endpoints = bench_bare.endpoints_of(listener.node)
         odometry, floor = (Latency.of(listener.ages_ms[topic]) for topic in (ours, bare))
         running.stop(("record", "slip_estimator"))
         running.start("relay", [sys.executable, script, "relay"])
-        listener.forget()
+        listener.reset()
         _receive(listener, ours)
         listener.listen(seconds / 4)
         relayed = Latency.of(listener.ages_ms[ours])
     loads = {name: 100.0 * (after[name] - before[name]) / elapsed for name in before}
-    return Graph(loads, odometry, floor, relayed, options.bag, ends)
+    return Graph(loads, odometry, floor, relayed, options.bag, endpoints)
 
 
-def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float]:
+def bare_loads(directory: Path, measured: Graph, seconds: float) -> dict[str, float]:
     """CPU, % of a core, of bare nodes in place of all nodes of a graph (``bench_bare``)."""
     topics, script = directory / "topics.json", str(Path(__file__).parent / "bench_bare.py")
-    bench_bare.write_topics(topics, found.ends, found.bag)
+    bench_bare.write_topics(topics, measured.endpoints, measured.bag)
     with children(directory) as running, _listener((), ("odometry",)) as listener:
-        for name in found.loads.keys() & found.ends.keys():
+        for name in measured.loads.keys() & measured.endpoints.keys():
             running.start(name, [sys.executable, script, str(topics), name])
         _receive(listener, "odometry")
         before, began = running.cpu_s(), time.monotonic()
@@ -191,17 +193,17 @@ def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float
 
 def _receive(listener: Listener, topic: str) -> None:
     """Wait until the topic is flowing, and reset the counts."""
-    until = time.monotonic() + _APPEAR
+    until = time.monotonic() + _GRAPH_TIMEOUT
     while len(listener.ages_ms[topic]) < 100 and time.monotonic() < until:
         listener.listen(0.2)
-    listener.forget()
+    listener.reset()
 
 
 def _measure(running: Children, listener: Listener, topics: dict[str, str]) -> dict[str, Load]:
     """Medians over the windows: CPU of processes, and the rate of a topic of each."""
     windows = []
     for _ in range(REPEATS):
-        listener.forget()
+        listener.reset()
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(WINDOW)
         after, elapsed = running.cpu_s(), time.monotonic() - began
@@ -235,9 +237,3 @@ def _wait_for(path: Path) -> None:
     until = time.monotonic() + 10.0
     while not path.exists() and time.monotonic() < until:
         time.sleep(0.05)
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])

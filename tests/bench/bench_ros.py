@@ -3,7 +3,7 @@
 """The ROS side of the benchmark: a listener, and bare nodes as the floor of the measurements.
 
 ``bench_ros.py NAME`` is a bare rclpy node that publishes the topics of the driver NAME at the same rates,
-with constant messages. ``odometry`` publishes stamped odometry at 101 Hz: within a second it meets every
+with constant messages. ``odometry`` publishes stamped odometry at 101 Hz: within a second it covers every
 phase of the graph's cycle, busy and idle. ``relay`` replaces the slip estimator: it publishes constant
 odometry with the stamp of each sprocket sample.
 """
@@ -40,11 +40,13 @@ class Listener:
         self._executor.add_node(self.node)
         for topic in topics:
             name = topic.removeprefix(FLOOR)
-            callback = self._counting(topic)
+            callback = self._count_callback(topic)
             self.node.create_subscription(topic_class(name), topic, callback, subscriber_qos(name), raw=True)
         for topic in odometry:
-            note = self._noting(self.ages_ms[topic])
-            self.node.create_subscription(topic_class("odometry"), topic, note, subscriber_qos("odometry"))
+            callback = self._age_callback(self.ages_ms[topic])
+            self.node.create_subscription(
+                topic_class("odometry"), topic, callback, subscriber_qos("odometry")
+            )
 
     def listen(self, seconds: float) -> None:
         """Handle incoming messages for so long."""
@@ -52,7 +54,7 @@ class Listener:
         while (left := until - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset all counts."""
         self.received.clear()
         for ages in self.ages_ms.values():
@@ -63,18 +65,18 @@ class Listener:
         self._executor.shutdown()
         self.node.destroy_node()
 
-    def _counting(self, topic: str) -> Callable[[bytes], None]:
+    def _count_callback(self, topic: str) -> Callable[[bytes], None]:
         def count(_: bytes) -> None:
             self.received[topic] += 1
 
         return count
 
-    def _noting(self, ages_ms: list[float]) -> Callable[[Any], None]:
-        def note(message: Any) -> None:
+    def _age_callback(self, ages_ms: list[float]) -> Callable[[Any], None]:
+        def store(message: Any) -> None:
             stamp = message.header.stamp
             ages_ms.append((time.time_ns() - stamp.sec * 1_000_000_000 - stamp.nanosec) * 1e-6)
 
-        return note
+        return store
 
 
 def messages_of(name: str) -> dict[str, Any]:
@@ -136,11 +138,11 @@ def relay() -> None:
     message = make("nav_msgs/msg/Odometry")
     publisher = node.create_publisher(type(message), "odometry", publisher_qos("odometry"))
 
-    def hand_on(sprockets: Any) -> None:
+    def republish(sprockets: Any) -> None:
         message.header.stamp = sprockets.header.stamp
         publisher.publish(message)
 
-    node.create_subscription(topic_class("sprockets"), "sprockets", hand_on, subscriber_qos("sprockets"))
+    node.create_subscription(topic_class("sprockets"), "sprockets", republish, subscriber_qos("sprockets"))
     executor = Executor()
     executor.add_node(node)
     while rclpy.ok():

@@ -11,7 +11,7 @@ import pytest
 import bench_filters
 
 
-class TheirFilter:
+class FilterpyStub:
     """The part of ``filterpy.kalman.ExtendedKalmanFilter`` that the bench uses."""
 
     updates = 0
@@ -31,14 +31,14 @@ class TheirFilter:
             self.x + gain @ (z - expected(self.x)),
             (np.eye(self.x.size) - gain @ H) @ self.P,
         )
-        TheirFilter.updates += 1
+        FilterpyStub.updates += 1
 
 
 def test_filter_bench_runs_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench_filters, "ROWS", 400)
-    monkeypatch.setattr(TheirFilter, "updates", 0)
+    monkeypatch.setattr(FilterpyStub, "updates", 0)
     seconds = bench_filters._filterpy(
-        SimpleNamespace(ExtendedKalmanFilter=TheirFilter), bench_filters._drive()
+        SimpleNamespace(ExtendedKalmanFilter=FilterpyStub), bench_filters._drive()
     )
     assert seconds > 0.0
-    assert TheirFilter.updates == 200
+    assert FilterpyStub.updates == 200

@@ -13,9 +13,9 @@ from trackslip_common.topics import TOPICS
 
 SCRIPT = str(Path(bench_bare.__file__))
 RATE = 20.0  # Hz, of topics that no input triggers
-ENDS = {
-    "slip_estimator": {"takes": {"sprockets": False}, "publishes": {"odometry": True}},
-    "can_driver": {"takes": {}, "publishes": {"sprockets": True}},
+ENDPOINTS = {
+    "slip_estimator": {"subscribes": {"sprockets": False}, "publishes": {"odometry": True}},
+    "can_driver": {"subscribes": {}, "publishes": {"sprockets": True}},
 }
 
 
@@ -26,7 +26,7 @@ def test_bare_node_publishes_sources_at_their_rate_and_answers_inputs(programs, 
                 kind = TOPICS[topic].type_name
                 bag.write(f"/{topic}", kind, serialize(make(kind, **fields)), round(k * 1e9 / RATE))
     topics = programs.folder / "topics.json"
-    bench_bare.write_topics(topics, ENDS, programs.folder / "bag")
+    bench_bare.write_topics(topics, ENDPOINTS, programs.folder / "bag")
     assert json.loads(topics.read_text())["topics"]["sprockets"]["rate"] == (RATE + 1) / 1.0
 
     sprockets, odometry = observer.subscribe("sprockets"), observer.subscribe("odometry")
@@ -36,6 +36,8 @@ def test_bare_node_publishes_sources_at_their_rate_and_answers_inputs(programs, 
     driver = programs.python(SCRIPT, str(topics), "can_driver")
     observer.wait(lambda: len(sprockets) > 5 and len(odometry) > 5, "both")
     assert sprockets[0].name == ["a"]
-    observer.wait(lambda: bench_bare.ends_of(observer.node).items() >= ENDS.items(), "their ends")
+    observer.wait(
+        lambda: bench_bare.endpoints_of(observer.node).items() >= ENDPOINTS.items(), "their endpoints"
+    )
     for program in (driver, estimator):
         assert program.end(signal.SIGINT)[0] == 130

@@ -112,9 +112,9 @@ def test_path_that_cannot_be_a_directory_is_refused_in_one_line(tmp_path, made):
     assert (tmp_path / "demo").read_text() == "a file"
 
 
-@pytest.mark.parametrize("known", [False, True])
-def test_status_lines_fit_80_columns(known):
-    pose = (-123.4, -99.99, -math.pi) if known else (math.nan,) * 3
+@pytest.mark.parametrize("has_pose", [False, True])
+def test_status_lines_fit_80_columns(has_pose):
+    pose = (-123.4, -99.99, -math.pi) if has_pose else (math.nan,) * 3
     rates = {"sprockets": 100.4, "imu/data_raw": 11.9, "scan": 4.2, "odometry": 100.4}
     text = status(3599.9, pose, (-1.0, 1.0, -math.pi / 2.0), rates)
     assert max(map(len, text.splitlines())) <= 80

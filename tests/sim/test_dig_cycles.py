@@ -22,7 +22,7 @@ from trackslip_tools.replay.run import replay
 
 WITHOUT = {"swing_sources": [""]}
 BARS = [(True, 0.01), (False, 0.03)]
-_BEGUN = 10.0  # s, for the heading to become observable in the first drive
+_SETTLING = 10.0  # s, for the heading to become observable in the first drive
 
 
 class Run(NamedTuple):
@@ -36,8 +36,8 @@ class Run(NamedTuple):
 
     def longest_beyond(self, column: int) -> float:
         """Longest time for which an error exceeds three standard deviations, s."""
-        beyond = np.abs(self.errors[:, column]) > 3.0 * self.stddevs[:, column]
-        edges = np.flatnonzero(np.diff(np.concatenate(((0,), beyond.astype(np.int64), (0,)))))
+        is_beyond = np.abs(self.errors[:, column]) > 3.0 * self.stddevs[:, column]
+        edges = np.flatnonzero(np.diff(np.concatenate(((0,), is_beyond.astype(np.int64), (0,)))))
         spans = self.t[edges[1::2] - 1] - self.t[edges[::2]]
         return float(spans.max(initial=0.0))
 
@@ -53,25 +53,30 @@ def run(bag: Path, encoder: bool) -> Run:
     with open_bag(bag) as opened:
         p = load_slip_parameters({"vehicle": "pc05_cab"}, {} if encoder else WITHOUT)
         result = replay(opened, p, InputFilters(), None, watch=parts.append)
-    found = np.concatenate([part.estimates for part in parts])
+    estimates = np.concatenate([part.estimates for part in parts])
     odometry, swing = (
         np.concatenate([part.tables[topic].rows for part in parts if topic in part.tables])
         for topic in (TRUE_ODOMETRY, TRUE_SWING)
     )
-    t = found["stamp_ns"] * 1e-9
-    found, t = found[t <= odometry["stamp_ns"][-1] * 1e-9], t[t <= odometry["stamp_ns"][-1] * 1e-9]
+    t = estimates["stamp_ns"] * 1e-9
+    estimates, t = estimates[t <= odometry["stamp_ns"][-1] * 1e-9], t[t <= odometry["stamp_ns"][-1] * 1e-9]
     true = [odometry["x"], odometry["y"], np.unwrap(headings_of(odometry))]
     true = [np.interp(t, odometry["stamp_ns"] * 1e-9, column) for column in (*true, odometry["v_x"])]
-    turned = np.interp(t, swing["stamp_ns"] * 1e-9, np.unwrap(swing["angle"]))
-    errors = np.column_stack((found["pose"] - np.stack(true[:3], axis=1), found["swing"]["angle"] - turned))
+    true_swing = np.interp(t, swing["stamp_ns"] * 1e-9, np.unwrap(swing["angle"]))
+    errors = np.column_stack(
+        (estimates["pose"] - np.stack(true[:3], axis=1), estimates["swing"]["angle"] - true_swing)
+    )
     errors[:, 2:] = np.angle(np.exp(1j * errors[:, 2:]))
-    variances = np.diagonal(found["pose_covariance"], axis1=1, axis2=2), found["swing"]["covariance"][:, 0, 0]
-    begun = t - t[0] > _BEGUN
+    variances = (
+        np.diagonal(estimates["pose_covariance"], axis1=1, axis2=2),
+        estimates["swing"]["covariance"][:, 0, 0],
+    )
+    settled = t - t[0] > _SETTLING
     return Run(
-        t[begun],
-        errors[begun],
-        np.sqrt(np.column_stack(variances))[begun],
-        np.abs(true[3][begun]) > 0.05,
+        t[settled],
+        errors[settled],
+        np.sqrt(np.column_stack(variances))[settled],
+        np.abs(true[3][settled]) > 0.05,
         result.swing_rmse,
     )
 
@@ -82,13 +87,13 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("encoder", "most"), BARS)
-def test_heading_and_swing_while_it_digs(short: Path, encoder: bool, most: float) -> None:
-    found = run(short, encoder)
-    assert np.sqrt(np.mean(found.errors[found.driving, 2] ** 2)) < most
-    assert max(map(found.longest_beyond, range(4))) <= 1.0
-    assert found.swing_rmse is not None
-    assert found.swing_rmse < most
+@pytest.mark.parametrize(("encoder", "limit"), BARS)
+def test_heading_and_swing_while_it_digs(short: Path, encoder: bool, limit: float) -> None:
+    result = run(short, encoder)
+    assert np.sqrt(np.mean(result.errors[result.driving, 2] ** 2)) < limit
+    assert max(map(result.longest_beyond, range(4))) <= 1.0
+    assert result.swing_rmse is not None
+    assert result.swing_rmse < limit
 
 
 @pytest.mark.slow
@@ -110,9 +115,9 @@ def test_errors_stay_within_bounds_over_twenty_minutes_of_dig_cycles(
 ) -> None:
     """At least ten slews of half a turn; on dry clay the box localizer is a quarter turn off for 17 s."""
     bag = record(tmp_path / "bag", 1200.0, "--soil", soil, "--seed", seed)
-    for encoder, most in BARS:
-        found = run(bag, encoder)
-        heading = found.errors[:, 2] if encoder else found.errors[found.driving, 2]
-        assert np.sqrt(np.mean(heading**2)) < most
-        assert found.longest_beyond(2) <= 1.0
-        assert max(map(found.longest_beyond, (0, 1))) <= 1.0
+    for encoder, limit in BARS:
+        result = run(bag, encoder)
+        heading = result.errors[:, 2] if encoder else result.errors[result.driving, 2]
+        assert np.sqrt(np.mean(heading**2)) < limit
+        assert result.longest_beyond(2) <= 1.0
+        assert max(map(result.longest_beyond, (0, 1))) <= 1.0

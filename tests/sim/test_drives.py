@@ -17,7 +17,7 @@ def test_an_untuned_estimator_is_consistent_on_drawn_machines() -> None:
     scores = [scored(seed)[2] for seed in range(4)]
     assert missed_bars(scores) == []
     assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes
-    assert max(s.refused_in_a_row for s in scores) <= 3
+    assert max(s.rejected_in_a_row for s in scores) <= 3
 
 
 def test_tables_fit_a_terminal() -> None:
@@ -50,9 +50,9 @@ def test_velocity_errors_have_the_size_that_is_drawn() -> None:
     machine, V = DrawnMachine(velocity_errors=5.0), 0.4
     errors = MotionErrors(machine, 0.73, 0.005, np.random.default_rng(0))
     tracks = np.full((200_000, 2), V)
-    found = errors.apply(tracks, np.zeros((200_000, 3)))[1000:]
-    assert found[:, 0].std() == pytest.approx(np.sqrt(24.0) * 0.0024 * V, rel=0.1)
-    assert found[:, 2].std() == pytest.approx(np.sqrt(24.0) * 0.001 * V / 0.73, rel=0.1)
+    drawn = errors.apply(tracks, np.zeros((200_000, 3)))[1000:]
+    assert drawn[:, 0].std() == pytest.approx(np.sqrt(24.0) * 0.0024 * V, rel=0.1)
+    assert drawn[:, 2].std() == pytest.approx(np.sqrt(24.0) * 0.001 * V / 0.73, rel=0.1)
 
 
 def test_a_circle_closes() -> None:

@@ -106,7 +106,7 @@ def test_bus_off_is_reported_and_so_is_the_restart():
     assert len(frames_between(sent, 3.0, 4.0)) == pytest.approx(301, abs=3)
 
 
-def test_frames_and_bytes_go_missing_at_the_rate_asked_for():
+def test_frames_and_bytes_are_lost_at_the_requested_rate():
     sent = run(
         Fault("can", "lost_frames", 2.0, 4.0, 0.25),
         Fault("watson", "lost_bytes", 6.0, 5.0, 0.1),
@@ -147,12 +147,12 @@ def test_bytes_change(kind, value):
 
 
 def test_bursts_lose_no_data():
-    held = run(Fault("can", "bursts", 2.0, 3.0, 0.5), Fault("watson", "bursts", 6.0, 2.0, 0.5))
+    bursts = run(Fault("can", "bursts", 2.0, 3.0, 0.5), Fault("watson", "bursts", 6.0, 2.0, 0.5))
     good = run()
-    assert len(between(held, 2.0, 5.0, 1)) == 5  # at 2.5, 3.0 … 4.5 s
-    assert frames_between(held, 0.0, 12.0) == frames_between(good, 0.0, 12.0)
-    assert b"".join(between(held, 0.0, 12.0, 2)) == b"".join(between(good, 0.0, 12.0, 2))
-    assert len(between(held, 6.0, 8.0, 2)) <= 5
+    assert len(between(bursts, 2.0, 5.0, 1)) == 5  # at 2.5, 3.0 … 4.5 s
+    assert frames_between(bursts, 0.0, 12.0) == frames_between(good, 0.0, 12.0)
+    assert b"".join(between(bursts, 0.0, 12.0, 2)) == b"".join(between(good, 0.0, 12.0, 2))
+    assert len(between(bursts, 6.0, 8.0, 2)) <= 5
 
 
 def readings(*faults):
@@ -163,19 +163,19 @@ def readings(*faults):
 
 
 def test_stuck_fault_holds_the_reading_for_its_duration():
-    held = readings(Fault("can", "stuck", 5.0, 2.0))
-    positions = [held.sprockets(round(t * S)).left_position for t in (4.9, 5.0, 6.9, 7.1)]
+    stuck = readings(Fault("can", "stuck", 5.0, 2.0))
+    positions = [stuck.sprockets(round(t * S)).left_position for t in (4.9, 5.0, 6.9, 7.1)]
     assert positions[1] == positions[2]
     assert positions[0] < positions[1] < positions[3]
 
 
 def test_noise_is_a_share_of_full_scale():
     noisy, quiet = readings(Fault("watson", "noise", 0.0, 20.0, 0.01)), readings()
-    spread = [
+    stddevs = [
         np.std([which.imu(k * S // 100).angular_velocity[0] for k in range(1000)]) for which in (noisy, quiet)
     ]
-    assert spread[0] == pytest.approx(np.radians(2.0), rel=0.1)  # at 200 °/s
-    assert spread[1] == pytest.approx(PARAMETERS.noise.gyro_stddev, rel=0.1)
+    assert stddevs[0] == pytest.approx(np.radians(2.0), rel=0.1)  # at 200 °/s
+    assert stddevs[1] == pytest.approx(PARAMETERS.noise.gyro_stddev, rel=0.1)
     loud = readings(Fault("can", "noise", 0.0, 20.0, 0.1))
     supply = [loud.hydraulics(k * S // 100).supply_pressure for k in range(1000)]
     assert np.std(np.diff(supply)) / np.sqrt(2.0) == pytest.approx(2.5e6, rel=0.1)
@@ -195,8 +195,8 @@ def test_faults_of_the_scanner():
     assert np.isnan(bad.ranges(11 * S)).mean() == pytest.approx(0.3, abs=0.1)
     assert (bad.status(S), bad.status(11 * S)) == (0, 0x80)
     noisy, plain = bad.ranges(21 * S), readings().ranges(21 * S)
-    seen = np.isfinite(plain)
-    assert np.std(noisy[seen] - plain[seen]) == pytest.approx(1.0, rel=0.2)  # at 50 m
+    is_hit = np.isfinite(plain)
+    assert np.std(noisy[is_hit] - plain[is_hit]) == pytest.approx(1.0, rel=0.2)  # at 50 m
 
 
 def test_port_comes_back_under_its_name(tmp_path):

@@ -42,8 +42,8 @@ def record(path: Path, faults: list[dict[str, Any]]) -> Path:
     tree = {"name": "gnss", "soil": "sandy_loam", "faults": faults, "segments": segments}
     file = path.parent / f"{path.name}.yaml"
     file.write_text(json.dumps(tree), encoding="utf-8")
-    given = {"vehicle": "excavator_20t", "scenario": str(file), "seed": 3, "lead_in": 6.0}
-    p = load_emulator_parameters({**given, "gnss.device.rate": 10.0, "gnss.heading_offset": OFFSET})
+    settings = {"vehicle": "excavator_20t", "scenario": str(file), "seed": 3, "lead_in": 6.0}
+    p = load_emulator_parameters({**settings, "gnss.device.rate": 10.0, "gnss.heading_offset": OFFSET})
     record_drive(p, simulate(parse_scenario(tree), vehicle=p.vehicle.whole()), path)
     return path
 
@@ -52,8 +52,8 @@ def replayed(bag: Path, vehicle: str = "excavator_20t", **changed: Any) -> dict[
     """Summary of ``trackslip replay`` with ``config/gnss.yaml``."""
     options = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in changed.items()]
     command = ["replay", bag, "--vehicle", vehicle, "--params", config_file("gnss.yaml"), *options]
-    found: dict[str, Any] = json_of(bag.parent, *command)
-    return found
+    summary: dict[str, Any] = json_of(bag.parent, *command)
+    return summary
 
 
 @pytest.fixture(scope="module")
@@ -64,20 +64,22 @@ def fixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("use_attitude", [False, True])
 def test_errors_with_rtk_and_heading_stay_within_their_bars(fixed: Path, use_attitude: bool) -> None:
     """A tilt error displaces an antenna at 3 m height; the error with a 12 Hz inertial unit is 26 mm."""
-    found = replayed(fixed, **{"sources.heading.offset": OFFSET, "use_attitude": use_attitude})
-    assert found["rmse"]["filter"] <= 0.023
-    assert found["rmse"]["heading"] <= 0.005
-    assert found["nees"] < 6.0
-    assert "gnss_pose" not in found["rejected"]
+    summary = replayed(fixed, **{"sources.heading.offset": OFFSET, "use_attitude": use_attitude})
+    assert summary["rmse"]["filter"] <= 0.023
+    assert summary["rmse"]["heading"] <= 0.005
+    assert summary["nees"] < 6.0
+    assert "gnss_pose" not in summary["rejected"]
 
 
 def test_velocities_of_the_receiver_keep_the_bars(fixed: Path) -> None:
-    found = replayed(fixed, **{"sources.heading.offset": OFFSET, "velocity_sources": ["fix_velocity"]})
-    assert found["messages"]["fix_velocity"] > 300
-    assert found["rmse"]["filter"] <= 0.024
-    assert found["rmse"]["heading"] <= 0.005
-    assert found["nees"] < 6.0
-    assert sum(found["rejected"].get("fix_velocity", {}).values()) < 0.05 * found["messages"]["fix_velocity"]
+    summary = replayed(fixed, **{"sources.heading.offset": OFFSET, "velocity_sources": ["fix_velocity"]})
+    assert summary["messages"]["fix_velocity"] > 300
+    assert summary["rmse"]["filter"] <= 0.024
+    assert summary["rmse"]["heading"] <= 0.005
+    assert summary["nees"] < 6.0
+    assert (
+        sum(summary["rejected"].get("fix_velocity", {}).values()) < 0.05 * summary["messages"]["fix_velocity"]
+    )
 
 
 @pytest.mark.slow
@@ -107,42 +109,42 @@ def on_cab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_antennas_on_a_cab_without_an_encoder_give_an_estimate(on_cab: Path) -> None:
-    found = replayed(on_cab, vehicle=str(on_cab.parent / "bare.yaml"))
-    assert "swing" not in found["messages"]
-    assert found["rmse"]["filter"] < 0.03
-    assert found["rmse"]["heading"] < 0.03
-    assert found["rmse"]["swing"] < 0.03
+    summary = replayed(on_cab, vehicle=str(on_cab.parent / "bare.yaml"))
+    assert "swing" not in summary["messages"]
+    assert summary["rmse"]["filter"] < 0.03
+    assert summary["rmse"]["heading"] < 0.03
+    assert summary["rmse"]["swing"] < 0.03
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("soil", "seed", "most", "least_nees"),
+    ("soil", "seed", "max_rmse", "min_nees"),
     [
         ("sand", 3, 0.021, 1.0),  # tilt error common to all fixes of a high antenna: 28 mm if modelled white
         ("clayey_soil", 7, 0.02, 0.4),  # tracks spin at the start: 36 mm if modelled as a delay of 50 ms
     ],
 )
 def test_a_minute_on_soft_soil_keeps_the_bars(
-    tmp_path: Path, soil: str, seed: int, most: float, least_nees: float
+    tmp_path: Path, soil: str, seed: int, max_rmse: float, min_nees: float
 ) -> None:
     drive = ["--scenario", "thesis", "--soil", soil, "--vehicle", "excavator_20t", "--duration", "60"]
     assert main(["simulate", *drive, "--seed", str(seed), "--output", str(tmp_path / "bag")]) == 0
-    found = replayed(tmp_path / "bag")
-    assert found["rmse"]["filter"] < most
-    assert least_nees < found["nees"] < 4.5
+    summary = replayed(tmp_path / "bag")
+    assert summary["rmse"]["filter"] < max_rmse
+    assert min_nees < summary["nees"] < 4.5
 
 
 def test_one_antenna_finds_the_heading(fixed: Path) -> None:
-    found = replayed(fixed, heading_sources=[""], initial_yaw=2.5)
-    assert found["rmse"]["filter"] < 1.5  # of base_link, 1.3 m from the antenna, until the heading is known
-    assert abs(found["final"]["yaw"] - _final_yaw(fixed)) < 0.03
+    summary = replayed(fixed, heading_sources=[""], initial_yaw=2.5)
+    assert summary["rmse"]["filter"] < 1.5  # of base_link, 1.3 m from the antenna, until the heading is known
+    assert abs(summary["final"]["yaw"] - _final_yaw(fixed)) < 0.03
 
 
 @pytest.mark.slow
 def test_thirty_seconds_of_rtk_float_keep_the_bar(tmp_path: Path) -> None:
-    found = replayed(record(tmp_path / "bag", [FLOAT]), **{"sources.heading.offset": OFFSET})
-    assert found["rmse"]["filter"] <= 0.10
-    assert found["rmse"]["heading"] <= 0.005
+    summary = replayed(record(tmp_path / "bag", [FLOAT]), **{"sources.heading.offset": OFFSET})
+    assert summary["rmse"]["filter"] <= 0.10
+    assert summary["rmse"]["heading"] <= 0.005
 
 
 @pytest.mark.parametrize("kind", ["imu", "quaternion"])
@@ -154,11 +156,11 @@ def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kin
         inputs = read_inputs(bag, p, InputFilters(), ())
     expected = [heading_fix(message, "heading", p.compasses()["heading"]) for message in messages]
     rows = inputs.measurements({name: k for k, name in enumerate(p.timeouts_ns())})
-    found = rows[rows["kind"] == HEADING]
-    assert len(found) == len(expected) > 300
-    np.testing.assert_array_equal(found["stamp_ns"], [m.stamp_ns for m in expected])
-    np.testing.assert_array_equal(found["value"][:, 0], [m.heading for m in expected])
-    np.testing.assert_array_equal(found["noise"][:, 0, 0], [m.variance for m in expected])
+    headings = rows[rows["kind"] == HEADING]
+    assert len(headings) == len(expected) > 300
+    np.testing.assert_array_equal(headings["stamp_ns"], [m.stamp_ns for m in expected])
+    np.testing.assert_array_equal(headings["value"][:, 0], [m.heading for m in expected])
+    np.testing.assert_array_equal(headings["noise"][:, 0, 0], [m.variance for m in expected])
 
 
 @pytest.mark.parametrize("kind", ["imu", "quaternion"])

@@ -54,7 +54,7 @@ class Chain:
         self.localizer = GnssLocalizer(MAP)
         self.velocities = []
         self._bad_line = FaultySerial("gnss", self.faults, 1)
-        self._off = False
+        self._is_off = False
 
     def run(self, seconds):
         """(stamp s, east error m, north error m, stddev m) of each fix, and the headings."""
@@ -72,10 +72,10 @@ class Chain:
 
     def _receive(self):
         if self.faults.active_fault("gnss", "power_cycle", self.now_ns):
-            self._off = True
+            self._is_off = True
             return []
-        if self._off:
-            self._off = False
+        if self._is_off:
+            self._is_off = False
             self.device.power_cycle(self.now_ns)
         data = self._bad_line.transmit(self.device.step(self.now_ns), self.now_ns)
         if self.faults.active_fault("gnss", "unplug", self.now_ns):
@@ -84,7 +84,7 @@ class Chain:
         return self.stream.feed(data, self.now_ns) if data else []
 
     def _locate(self, s):
-        found = self.localizer.locate(
+        position = self.localizer.locate(
             Fix(
                 s.stamp_ns,
                 s.latitude,
@@ -96,12 +96,17 @@ class Chain:
                 s.variances[2],
             )
         )
-        if not isinstance(found, AntennaPosition):
+        if not isinstance(position, AntennaPosition):
             return []
         x, y, yaw = pose_at(s.stamp_ns)[:3]
         truth = x + 0.5 * np.cos(yaw), y + 0.5 * np.sin(yaw)
         return [
-            (s.stamp_ns / S, found.east - truth[0], found.north - truth[1], found.covariance[0, 0] ** 0.5)
+            (
+                s.stamp_ns / S,
+                position.east - truth[0],
+                position.north - truth[1],
+                position.covariance[0, 0] ** 0.5,
+            )
         ]
 
 
@@ -121,7 +126,7 @@ def test_fixes_come_at_their_rate_within_their_error_and_at_their_epochs(rate):
     assert not chain.tally.total
 
 
-def test_fixed_float_none_fixed():
+def test_receiver_goes_from_fixed_to_float_to_no_fix_and_back():
     chain = Chain(Fault("gnss", "rtk_float", 10.0, 30.0), Fault("gnss", "no_fix", 40.0, 5.0))
     places, headings = chain.run(55.0)
     stamps, errors = places[:, 0], np.hypot(places[:, 1], places[:, 2])

@@ -68,10 +68,16 @@ def test_frame_of_the_machine_has_its_prefix_on_every_topic(tmp_path: Path) -> N
         name = topic.removeprefix("/")
         message = deserialize(raw, TOPICS[name].type_name)
         frames[name] = getattr(message, "child_frame_id", "") or getattr(message, "header", message)
-    stated = {name: getattr(frame, "frame_id", frame) for name, frame in frames.items() if name != "vehicle"}
-    of_machine = {name for name, frame in stated.items() if frame == "digger1/base_link"}
-    assert of_machine >= {"sprockets", "hydraulics", *(name for name in stated if name.startswith("truth/"))}
-    assert "base_link" not in stated.values()
+    frame_ids = {
+        name: getattr(frame, "frame_id", frame) for name, frame in frames.items() if name != "vehicle"
+    }
+    of_machine = {name for name, frame in frame_ids.items() if frame == "digger1/base_link"}
+    assert of_machine >= {
+        "sprockets",
+        "hydraulics",
+        *(name for name in frame_ids if name.startswith("truth/")),
+    }
+    assert "base_link" not in frame_ids.values()
 
 
 def test_simulation_in_pieces_writes_the_same_bag(

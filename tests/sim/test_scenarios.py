@@ -34,7 +34,7 @@ def test_the_promised_scenarios_are_there() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))
-def test_each_drives_somewhere(name: str) -> None:
+def test_each_scenario_moves_the_machine(name: str) -> None:
     scenario = load_scenario(name)
     assert scenario.name == name
     truth = simulate(scenario, upper=load_vehicle(scenario.vehicle).upper_structure)
@@ -62,7 +62,7 @@ def test_patches_cover_all_four_soils() -> None:
     assert set(truth.soil_index.tolist()) == {0, 1, 2, 3}
 
 
-def test_user_file_is_kept(tmp_path: Path) -> None:
+def test_scenario_is_loaded_from_a_users_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("name: mine\nsoil: dry_clay\nsegments:\n  - {duration: 1, left: 2, right: 2}\n")
     assert load_scenario(str(path)).segments == (Segment(1.0, 2.0, 2.0),)

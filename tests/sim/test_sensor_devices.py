@@ -127,23 +127,23 @@ def hydraulics(stamp_ns):
 def test_bus_through_the_driver_in_simulated_time():
     device = CanDevice(FRAMES, sprockets, hydraulics, 0)
     driver = ExcavatorCan(PARAMETERS, FRAMES, Tally())
-    rolls, forces = [], []
+    encoders, pressures = [], []
     for now_ns in range(0, 20 * S, 10 * MS):
         for arbitration_id, data in device.step(now_ns):
             for sample in driver.receive(arbitration_id, data, now_ns):
-                (rolls if isinstance(sample, SprocketSample) else forces).append(sample)
+                (encoders if isinstance(sample, SprocketSample) else pressures).append(sample)
     assert device.frames_emitted == {ENCODERS: 2000, SPOOLS: 2000, PRESSURES: 2000}
-    assert len(rolls) == 1999
-    assert len(forces) == 2000
+    assert len(encoders) == 1999
+    assert len(pressures) == 2000
     assert set(driver.tally.total.values()) == {1}  # only the first reading of each encoder
     per_count = 2.0 * math.pi / 12288
-    right_start = rolls[0].right_position - sprockets(rolls[0].stamp_ns).right_position
-    for sample in rolls[10:]:
+    right_start = encoders[0].right_position - sprockets(encoders[0].stamp_ns).right_position
+    for sample in encoders[10:]:
         truth = sprockets(sample.stamp_ns)
         assert sample.left_position == pytest.approx(truth.left_position, abs=1.001 * per_count)
         assert sample.right_position - right_start == pytest.approx(truth.right_position, abs=2 * per_count)
         assert sample.left_velocity == pytest.approx(truth.left_velocity, abs=0.04)  # noise, and 20 ms lag
-    for sample in forces:
+    for sample in pressures:
         truth = hydraulics(sample.stamp_ns)
         assert sample.left_pressure == pytest.approx(truth.left_pressure, abs=501.0)
         assert (sample.right_pressure, sample.right_spool) == (25e6, 1.0)  # saturated

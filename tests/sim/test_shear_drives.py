@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fixtures.shear_drives import replayed
 
-KNOWN = 20.0  # s, until the fixes have determined the pose to millimetres
+SETTLING = 20.0  # s, until the fixes have determined the pose to millimetres
 TO_AND_FRO = [(3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (3.0, 0.0, 0.0), (5.0, -2.0, -2.0)]
 TURNS = [
     *((5.0, 0.0, 0.0, math.pi / 2.0), (8.0, 2.2, 2.2), (6.0, 1.1, 2.2), (8.0, -1.9, -1.9), (2.0, 0.0, 0.0)),
@@ -21,10 +21,10 @@ TIGHT = (12.0, 0.1, 2.0)
 @pytest.mark.slow
 @pytest.mark.parametrize("soil", ["sand", "clayey_soil"])
 def test_estimate_is_consistent_while_tracks_shear_the_soil_at_a_start(soil: str, tmp_path: Path) -> None:
-    found = replayed(5 * TO_AND_FRO, soil, tmp_path)
-    known = found.nees[found.t > KNOWN]
-    assert np.sqrt(known.max()) < 4.0
-    assert known.mean() < 3.0  # 2 if consistent
+    result = replayed(5 * TO_AND_FRO, soil, tmp_path)
+    nees = result.nees[result.t > SETTLING]
+    assert np.sqrt(nees.max()) < 4.0
+    assert nees.mean() < 3.0  # 2 if consistent
 
 
 @pytest.mark.slow
@@ -35,6 +35,6 @@ def test_tight_turn_does_not_move_the_estimate(tmp_path: Path) -> None:
     """
     blind_from = sum(duration for duration, *_ in TURNS)
     segments = [*TURNS, TIGHT, (1.0, 0.0, 0.0)]
-    found = replayed(segments, "sand", tmp_path, vehicle="pc05_cab", blind_from=blind_from)
-    assert np.hypot(*found.errors[-1]) < 0.15
-    assert np.sqrt(found.nees[-1]) < 3.0
+    result = replayed(segments, "sand", tmp_path, vehicle="pc05_cab", blind_from=blind_from)
+    assert np.hypot(*result.errors[-1]) < 0.15
+    assert np.sqrt(result.nees[-1]) < 3.0

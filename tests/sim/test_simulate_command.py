@@ -33,9 +33,9 @@ def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     }
     assert report["duration_s"] == pytest.approx(20.0)
     assert report["final"]["v_x"] == pytest.approx(0.399, abs=1e-3)
-    shown = capsys.readouterr().out
-    assert f"x {report['final']['x']:.3f} m" in shown
-    assert "{" not in shown
+    output = capsys.readouterr().out
+    assert f"x {report['final']['x']:.3f} m" in output
+    assert "{" not in output
 
 
 def test_bag_has_the_messages_of_all_sensors(tmp_path: Path) -> None:

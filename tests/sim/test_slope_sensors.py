@@ -48,14 +48,14 @@ def bag(truth: Truth, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
     """(seconds of the drive, message) by topic."""
     path = tmp_path_factory.mktemp("slope") / "bag"
     record_drive(PARAMETERS, truth, path)
-    found: dict[str, list[tuple[float, Any]]] = {}
+    by_topic: dict[str, list[tuple[float, Any]]] = {}
     requested = ["/imu/data_raw", "/truth/attitude", "/truth/odometry", "/gnss_pose", "/fix", "/heading"]
     with open_bag(path) as reader:
         for m in reader.messages(requested):
             message = reader.deserialize(m.raw, m.type_name)
             stamp = message.header.stamp
-            found.setdefault(m.topic, []).append((stamp.sec - 7.0 + stamp.nanosec * 1e-9, message))
-    return found
+            by_topic.setdefault(m.topic, []).append((stamp.sec - 7.0 + stamp.nanosec * 1e-9, message))
+    return by_topic
 
 
 def placements(truth: Truth, times: list[float]) -> list[Placement]:
@@ -67,24 +67,24 @@ def placements(truth: Truth, times: list[float]) -> list[Placement]:
 def of_drive(
     messages: list[tuple[float, Any]], end: float, begin: float = 0.0
 ) -> tuple[list[float], list[Any]]:
-    kept = [(t, m) for t, m in messages if begin <= t <= end]
-    return [t for t, _ in kept], [m for _, m in kept]
+    within = [(t, m) for t, m in messages if begin <= t <= end]
+    return [t for t, _ in within], [m for _, m in within]
 
 
-def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
+def test_accelerometers_measure_gravity_alone_before_the_drive() -> None:
     slope = simulate(load_scenario("side_slope").with_duration(2.0))
     sensors = MachineSensors(TruthWindow((slope,), 2.0), PARAMETERS.noise, 7 * S, 1)
     sample = sensors.imu(5 * S)
     roll = math.radians(15.0)
-    felt = (0.0, GRAVITY * math.sin(roll), GRAVITY * math.cos(roll))
-    assert sample.acceleration == pytest.approx(felt, abs=1e-9)
+    expected = (0.0, GRAVITY * math.sin(roll), GRAVITY * math.cos(roll))
+    assert sample.acceleration == pytest.approx(expected, abs=1e-9)
     assert sample.angular_velocity == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.slow
-def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Truth) -> None:
+def test_accelerometers_measure_gravity_and_motion(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/imu/data_raw"], truth.duration - 0.1, 0.1)
-    felt = np.array(
+    measured = np.array(
         [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
     )
     gravity = np.array([p.rotation()[2] * GRAVITY for p in placements(truth, times)])
@@ -92,12 +92,13 @@ def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Trut
     changes = [np.interp(times, truth.t, np.gradient(v, truth.t)) for v in (truth.v_x, truth.v_y)]
     ahead, left = changes[0] - at.yaw_rate * at.v_y, changes[1] + at.yaw_rate * at.v_x
     assert np.degrees(at.pitch).min() < -10.0  # nose up
-    np.testing.assert_allclose(felt[:, 0], gravity[:, 0] + ahead, atol=0.011)  # resolution of the line: 1 mg
-    np.testing.assert_allclose(felt[:, 1], gravity[:, 1] + left, atol=0.011)
-    np.testing.assert_allclose(felt[:, 2], gravity[:, 2], atol=0.05)
+    # The resolution of the line is 1 mg.
+    np.testing.assert_allclose(measured[:, 0], gravity[:, 0] + ahead, atol=0.011)
+    np.testing.assert_allclose(measured[:, 1], gravity[:, 1] + left, atol=0.011)
+    np.testing.assert_allclose(measured[:, 2], gravity[:, 2], atol=0.05)
 
 
-def test_gyros_feel_all_three_rates(bag: dict[str, Any], truth: Truth) -> None:
+def test_gyros_measure_all_three_rates(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/imu/data_raw"], truth.duration)
     rates = np.array([(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages])
     at = truth.interpolate(times)
@@ -135,14 +136,16 @@ def test_an_antenna_leans_with_the_machine(bag: dict[str, Any], truth: Truth) ->
     assert climb == pytest.approx(antennas[:, 2], abs=0.1)
 
 
-def test_a_pair_of_antennas_shows_the_heading_seen_from_above(bag: dict[str, Any], truth: Truth) -> None:
+def test_a_pair_of_antennas_measures_the_heading_in_the_horizontal_plane(
+    bag: dict[str, Any], truth: Truth
+) -> None:
     times, messages = of_drive(bag["/heading"], truth.duration, 0.5)
     yaw = np.array([2.0 * math.atan2(m.orientation.z, m.orientation.w) for m in messages])
     errors = yaw - truth.interpolate(times).yaw
     assert np.abs(np.remainder(errors + math.pi, 2.0 * math.pi) - math.pi).max() < 1e-3
 
 
-def test_off_the_axes_a_pair_turns_with_roll() -> None:
+def test_azimuth_of_an_oblique_pair_depends_on_roll() -> None:
     place = Placement(x=0.0, y=0.0, yaw=4.0, roll=0.3)
     assert place.azimuth(0.0) == pytest.approx(4.0)
     assert place.azimuth(0.5) == pytest.approx(4.0 + math.atan(math.tan(0.5) * math.cos(0.3)))

@@ -41,8 +41,8 @@ def test_slope_without_attitude_is_taken_for_resistance() -> None:
 
 
 def test_a_study_has_cells_of_terrains() -> None:
-    given: dict[str, Any] = {"terrains": ["hill", ""], "scenarios": ["slalom"], "soils": ["sand"], "seeds": 1}
-    study = SoilStudy({**given, "sigma_xy": [0.01]}, [])
+    grid: dict[str, Any] = {"terrains": ["hill", ""], "scenarios": ["slalom"], "soils": ["sand"], "seeds": 1}
+    study = SoilStudy({**grid, "sigma_xy": [0.01]}, [])
     cells = list(study.cells)
     assert [cell.terrain for cell in cells] == ["hill", ""]
     hill, level = (study.cells[cell][0] for cell in cells)

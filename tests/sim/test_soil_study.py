@@ -88,8 +88,8 @@ def test_readings_are_the_truth_with_noise_and_offsets(setting: Setting) -> None
     truth = simulate_trial(TRIAL)
     readings = draw_readings(TRIAL, truth, setting)
     at = truth.interpolate(np.arange(0.0, truth.duration, 0.01))
-    found = np.array([(r.left_pressure, r.right_pressure) for r in readings.pressures])
-    noise = found - np.column_stack((at.left_pressure, at.right_pressure)) - readings.offsets
+    pressures = np.array([(r.left_pressure, r.right_pressure) for r in readings.pressures])
+    noise = pressures - np.column_stack((at.left_pressure, at.right_pressure)) - readings.offsets
     assert noise.std() == pytest.approx(setting.noise.pressure_stddev, rel=0.05)
     assert np.abs(noise.mean(axis=0)).max() < 0.1 * setting.noise.pressure_stddev
     assert np.abs(readings.offsets).max() > 0.1 * setting.study.offset_stddev
@@ -105,22 +105,22 @@ def test_readings_are_the_truth_with_noise_and_offsets(setting: Setting) -> None
 
 
 def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
-    found = run_trial(TRIAL, setting)
-    assert (found.limit, found.mu_r) == pytest.approx((1.0, 1.0), abs=0.1)
-    assert found.limit_interval[0] < 1.0 < found.limit_interval[1]
-    assert 0.0 < found.driving_error < 0.05
-    assert 0.0 < found.braking_error < 0.1
-    assert 0.0 < found.moment_error < 0.1
-    assert 0.0 < found.offset_residue < 5e3
-    assert (found.into, math.isnan(found.recognised_after)) == ("", True)
+    result = run_trial(TRIAL, setting)
+    assert (result.limit, result.mu_r) == pytest.approx((1.0, 1.0), abs=0.1)
+    assert result.limit_interval[0] < 1.0 < result.limit_interval[1]
+    assert 0.0 < result.driving_error < 0.05
+    assert 0.0 < result.braking_error < 0.1
+    assert 0.0 < result.moment_error < 0.1
+    assert 0.0 < result.offset_residue < 5e3
+    assert (result.into, math.isnan(result.recognised_after)) == ("", True)
     last = list(soil_states(TRIAL, simulate_trial(TRIAL)))[-1]
-    assert last.classes["sand"] == found.probability
+    assert last.classes["sand"] == result.probability
 
 
 # Scores
 
 
-def test_a_turn_is_steady_once_it_has_lasted() -> None:
+def test_a_turn_is_steady_after_two_seconds() -> None:
     truth = driven((3.0, 2.0, 2.0), (5.0, 1.2, 2.2), (5.0, 1.9, 2.0), (5.0, 2.2, 1.2), (4.0, 2.2, 1.8))
     times = np.arange(0.0, truth.duration, 0.25)
     steady = times[steady_turns(truth, times)]
@@ -141,10 +141,10 @@ def test_a_border_is_noticed_when_the_right_class_is_certain() -> None:
     assert 3.0 < crossed < 7.0
     before = [state(0.0, sand=0.2, dry_clay=0.9), state(crossed - 0.1, sand=0.7, dry_clay=0.3)]
     after = [state(crossed + 1.0, sand=0.3, dry_clay=0.7), state(crossed + 2.0, sand=0.1, dry_clay=0.81)]
-    found = soil_change([*before, *after, state(crossed + 3.0, sand=0.0, dry_clay=0.9)], truth)
-    assert found["into"] == "dry_clay"
-    assert found["recognised_after"] == pytest.approx(2.0, abs=0.02)
-    assert found["wrong_before"] == pytest.approx(0.3)
+    change = soil_change([*before, *after, state(crossed + 3.0, sand=0.0, dry_clay=0.9)], truth)
+    assert change["into"] == "dry_clay"
+    assert change["recognised_after"] == pytest.approx(2.0, abs=0.02)
+    assert change["wrong_before"] == pytest.approx(0.3)
     assert soil_change([*before, after[0]], truth)["recognised_after"] == math.inf
 
 
@@ -171,7 +171,7 @@ def test_a_border_has_a_row_of_its_own() -> None:
 
 
 def test_the_grid_drives_patches_only_on_the_soil_they_name() -> None:
-    given = {"soils": ["sand", "dry_clay"], "sigma_xy": [0.01, 0.05], "drawn": True}
-    cells = list(soil_cells(load_soil_study_parameters(given)))
+    values = {"soils": ["sand", "dry_clay"], "sigma_xy": [0.01, 0.05], "drawn": True}
+    cells = list(soil_cells(load_soil_study_parameters(values)))
     assert len(cells) == len(set(cells)) == (2 + 1) * 2 * 2
     assert {cell.soil for cell in cells if cell.scenario == "soil_change"} == {"sand"}

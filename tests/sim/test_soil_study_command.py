@@ -52,9 +52,9 @@ class Counted:
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
-    found = Counted()
-    monkeypatch.setattr(soil_study, "run_trial", found)
-    return found
+    counter = Counted()
+    monkeypatch.setattr(soil_study, "run_trial", counter)
+    return counter
 
 
 def test_command_writes_rows_and_tables(
@@ -63,20 +63,20 @@ def test_command_writes_rows_and_tables(
     options = ["--drawn", "--json", str(tmp_path / "rows.json"), "--output", str(tmp_path)]
     assert main([*command, *options]) == 0
     rows = json.loads((tmp_path / "rows.json").read_text())
-    found = [(row["scenario"], row["soil"], row["drawn"]) for row in rows]
+    cells = [(row["scenario"], row["soil"], row["drawn"]) for row in rows]
     soils = [("field_trial", soil, drawn) for soil in ("sand", "dry_clay") for drawn in (False, True)]
-    assert found == [*soils, ("soil_change", "sand", False), ("soil_change", "sand", True)]
+    assert cells == [*soils, ("soil_change", "sand", False), ("soil_change", "sand", True)]
     kinds = [SoilRow] * 4 + [ChangeRow] * 2
     assert [row.keys() for row in rows] == [{field.name for field in fields(kind)} for kind in kinds]
     assert (rows[0]["F_max_inside"], rows[0]["seeds"]) == (2, 2)
     assert rows[4]["recognised_after"] is None  # never: JSON has no infinity
-    shown, error = capsys.readouterr()
+    output, error = capsys.readouterr()
     whole = (tmp_path / "soil_table.md").read_text()
     assert whole.startswith(f"{TABLE_HEADER}\n")
-    assert shown.startswith(
+    assert output.startswith(
         "vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n"))
     )
-    assert max(map(len, shown.splitlines())) <= WIDTH
+    assert max(map(len, output.splitlines())) <= WIDTH
     assert error == ""
     lines = [line for line in whole.splitlines() if line.startswith("|")]
     assert len(lines) == 2 + 4 + 2 + 2
@@ -86,9 +86,9 @@ def test_command_writes_rows_and_tables(
     assert len(counted.trials) == 6 * 2
 
 
-def timeless(shown: str) -> list[str]:
+def timeless(output: str) -> list[str]:
     """The lines of the output, except the one with the duration of the study."""
-    return [line for line in shown.splitlines() if not re.fullmatch(r"\d+ .* in [\d.]+ s", line)]
+    return [line for line in output.splitlines() if not re.fullmatch(r"\d+ .* in [\d.]+ s", line)]
 
 
 def trials_of(
@@ -145,10 +145,10 @@ def test_several_processes_give_the_rows_of_one(
     monkeypatch.setattr(
         soil_study,
         "load_soil_study_parameters",
-        lambda given: load_soil_study_parameters(given | {"standstill": 1.0}),
+        lambda values: load_soil_study_parameters(values | {"standstill": 1.0}),
     )
     rows = []
-    for jobs in ("1", "2"):
+    for count in ("1", "2"):
         options = [
             "--scenario",
             "straight",
@@ -157,7 +157,7 @@ def test_several_processes_give_the_rows_of_one(
             "--soil",
             "sand",
             "--workers",
-            jobs,
+            count,
             "--fresh",
         ]
         rows.append(json_of(tmp_path, *command, *options))

@@ -66,12 +66,12 @@ def speeds_of(drives: NDArray[np.void]) -> FloatArray:
 
 def steady(drives: NDArray[np.void], p: SlipEstimatorParameters) -> FloatArray:
     """(k, 2) the speeds from which slips are computed, rad/s."""
-    found = []
+    speeds = []
     for drive in drives:
         motion, changing, *rest = drive["motion"].item()
         state = MotionState(Motion(motion), changing, *rest)
-        found.append(smoothed_speeds(Speeds(*drive["speeds"].item()), state, p.motion)[:2])
-    return np.array(found)
+        speeds.append(smoothed_speeds(Speeds(*drive["speeds"].item()), state, p.motion)[:2])
+    return np.array(speeds)
 
 
 def scored(setting: Setting, trial: Trial) -> Sums:
@@ -89,11 +89,11 @@ def test_filters_get_rounded_sprockets_and_the_truth_exact_ones(bench: Bench) ->
     np.testing.assert_allclose(truth.t[samples], PERIOD * np.arange(1, len(samples) + 1), atol=1e-9)
     np.testing.assert_allclose(np.cumsum(true[samples, 0]) * PERIOD, truth.left_angle[samples], atol=1e-9)
     np.testing.assert_allclose(np.cumsum(true[samples, 1]) * PERIOD, truth.right_angle[samples], atol=1e-9)
-    off = speeds_of(drive.rows.drives[samples]) - true[samples]
-    assert step / 3.0 < np.abs(off).max() < step  # rad/s per count
+    rounding = speeds_of(drive.rows.drives[samples]) - true[samples]
+    assert step / 3.0 < np.abs(rounding).max() < step  # rad/s per count
     straight = truth.t[samples] % 6.0 > 5.0  # the slalom turns every six seconds
     smooth = steady(drive.rows.drives[samples], estimator) - true[samples]
-    assert np.std(smooth[straight]) < np.std(off[straight]) / 3.0
+    assert np.std(smooth[straight]) < np.std(rounding[straight]) / 3.0
 
 
 def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
@@ -126,9 +126,9 @@ def assert_same(rows: Any, others: Any) -> None:
 def test_filters_are_compared_on_the_same_draws(truth: str, bench: Bench) -> None:
     ekf, daf, again = (bench.trial(cell(truth, name), seed=1) for name in ("ekf", "daf", "ekf"))
     other = bench.trial(cell(truth, soil="dry_clay"), seed=1)
-    for mine, its, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
-        assert_same(mine, its)
-        assert_same(mine, repeated)
+    for of_ekf, of_daf, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
+        assert_same(of_ekf, of_daf)
+        assert_same(of_ekf, repeated)
     assert not np.array_equal(ekf.rows.measurements["value"], other.rows.measurements["value"])
 
 
@@ -235,14 +235,14 @@ def test_slips_are_scored_in_turns_apart(bench: Bench) -> None:
 
 def test_a_trace_shows_the_run_that_is_scored(bench: Bench) -> None:
     setting = bench.setting(cell(SHEAR))
-    found, sums = trace(setting, seed=2), scored(setting, make_trial(setting, seed=2))
-    later = found.t > bench.p.settling
-    for mine, its, columns in (
-        (found.estimated_slips, found.slips, slice(3, 6)),
-        (found.estimated_poses, found.poses, OF_POSE),
+    run, sums = trace(setting, seed=2), scored(setting, make_trial(setting, seed=2))
+    later = run.t > bench.p.settling
+    for estimated, true, columns in (
+        (run.estimated_slips, run.slips, slice(3, 6)),
+        (run.estimated_poses, run.poses, OF_POSE),
     ):
-        np.testing.assert_allclose(np.square(mine - its)[later], sums.squares[:, columns], atol=1e-9)
-    assert (found.slip_deviations[later, :2] > 0.0).all()
+        np.testing.assert_allclose(np.square(estimated - true)[later], sums.squares[:, columns], atol=1e-9)
+    assert (run.slip_deviations[later, :2] > 0.0).all()
 
 
 # On a terrain
@@ -257,8 +257,8 @@ def assert_near_bound_on_slope(row: Row) -> None:
 def test_filter_on_a_slope_is_near_its_bound_unless_it_ignores_the_slope(
     estimator: SlipEstimatorParameters,
 ) -> None:
-    given = {"scenario": "slalom", "duration": 24.0, "settling": 12.0, "seeds": 3}
-    p = load_study_parameters({**given, "terrains": ["slope_down_15"]})
+    values = {"scenario": "slalom", "duration": 24.0, "settling": 12.0, "seeds": 3}
+    p = load_study_parameters({**values, "terrains": ["slope_down_15"]})
     on_slope = replace(cell(SHEAR, sigma_xy=0.01), terrain="slope_down_15")
     bench = make_bench(p, estimator, terrain="slope_down_15")
     level = bench.drive.rows.drives["attitude"]["level"]
@@ -270,14 +270,14 @@ def test_filter_on_a_slope_is_near_its_bound_unless_it_ignores_the_slope(
     assert row.ignoring_nees_pose > 2.0 * row.nees_pose
 
 
-def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrain(bench: Bench) -> None:
+def test_accelerations_are_measured_on_terrain_only(bench: Bench) -> None:
     plain, sloping = (
         bench.trial(replace(cell(SHEAR), terrain=terrain)).rows.measurements["acceleration"]
         for terrain in ("", "side_slope_15")
     )
     assert np.isnan(plain[bench.drive.is_rate]).all()
-    felt = sloping[bench.drive.is_rate]
-    assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # on level ground
+    measured = sloping[bench.drive.is_rate]
+    assert np.mean(measured[:, 2]) == pytest.approx(9.81, abs=0.05)  # on level ground
 
 
 def test_bound_of_drawn_machines_uses_their_distribution(bench: Bench) -> None:
@@ -285,8 +285,8 @@ def test_bound_of_drawn_machines_uses_their_distribution(bench: Bench) -> None:
     setting = bench.setting(cell(DRAWN))
     trials = [make_trial(setting, seed) for seed in range(60)]
     drawn = [FIX_DELAY, GYRO_SCALE, ASYMMETRY]
-    found = np.mean([trial.start_state[drawn] ** 2 for trial in trials], axis=0)
-    assert found / np.diag(trials[0].spread)[drawn] == pytest.approx(1.0, abs=0.3)
+    variances = np.mean([trial.start_state[drawn] ** 2 for trial in trials], axis=0)
+    assert variances / np.diag(trials[0].truth_covariance)[drawn] == pytest.approx(1.0, abs=0.3)
 
 
 def test_machines_that_are_drawn_do_not_drive_on_terrain() -> None:

@@ -60,20 +60,20 @@ def test_command_writes_rows_table_and_figures(
     options = ["--sigma-xy", "0.01", "0.05", "--json", str(tmp_path / "rows.json"), "--output", str(tmp_path)]
     assert main([*command, *options]) == 0
     rows = json.loads((tmp_path / "rows.json").read_text())
-    found = [(r["truth"], r["filter"], r["sigma_xy"]) for r in rows]
-    assert found == [(t, f, s) for t in ("shear", "matched") for f in ("ekf", "daf") for s in (0.01, 0.05)]
+    grid = [(r["truth"], r["filter"], r["sigma_xy"]) for r in rows]
+    assert grid == [(t, f, s) for t in ("shear", "matched") for f in ("ekf", "daf") for s in (0.01, 0.05)]
     assert all(row.keys() >= KEYS and row["soil"] == "sand" and row["seeds"] == 2 for row in rows)
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
-    shown, error = capsys.readouterr()
+    output, error = capsys.readouterr()
     whole = (tmp_path / "study_table.md").read_text()
     assert whole.startswith(f"{TABLE_HEADER}\n")
-    assert shown.startswith(
+    assert output.startswith(
         "vehicle: pc05\n\n" + format_for_terminal(whole.removeprefix(f"{TABLE_HEADER}\n"))
     )
-    assert max(map(len, shown.splitlines())) <= WIDTH
+    assert max(map(len, output.splitlines())) <= WIDTH
     assert error.removeprefix(f"{DESK_TEXT}\n") == ""  # no progress bar in a pipe
-    drawn = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert drawn == {
+    figures = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert figures == {
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
     }
     assert main([*command, *options]) == 0  # replaces the earlier files
@@ -91,8 +91,8 @@ def test_cache_key_of_a_drawn_cell_includes_the_source_defaults(monkeypatch: pyt
 
 
 def _drawn() -> SlipStudy:
-    given = {"truths": ["drawn"], "filters": ["ekf"], "sigma_xy": [0.01], "sigma_omega": [0.01]}
-    return SlipStudy(given, [])
+    parameters = {"truths": ["drawn"], "filters": ["ekf"], "sigma_xy": [0.01], "sigma_omega": [0.01]}
+    return SlipStudy(parameters, [])
 
 
 def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path) -> None:
@@ -121,11 +121,11 @@ def test_interrupted_study_resumes(command: list[str], monkeypatch: pytest.Monke
 
 def test_cached_rows_equal_computed_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "deep" / "cells.jsonl"
-    given = {"scenario": ["slalom"], "duration": 9.0, "settling": 6.0, "seeds": 2}
-    given |= {"truths": ["matched"], "soils": ["sand"], "filters": ["ekf"], "sigma_xy": [0.05]}
+    parameters = {"scenario": ["slalom"], "duration": 9.0, "settling": 6.0, "seeds": 2}
+    parameters |= {"truths": ["matched"], "soils": ["sand"], "filters": ["ekf"], "sigma_xy": [0.05]}
 
     def study(*settings: str, fresh: bool = False, **changed: object) -> list[Row]:
-        return list(SlipStudy({**given, **changed}, settings).run(file, fresh=fresh))
+        return list(SlipStudy({**parameters, **changed}, settings).run(file, fresh=fresh))
 
     computed = study()
     monkeypatch.setattr(slip_study, "evaluate", Counted(stop_at=0))
@@ -204,10 +204,10 @@ def test_the_grid_has_every_combination_once() -> None:
 
 def test_a_row_on_terrain_has_a_table_of_its_own_beside_those_without() -> None:
     sloping = {"terrain": "slope_15", "ignoring_nees_pose": 9.0}
-    shown = SlipStudy({}, []).markdown([_row(), _row(**sloping), _row(**sloping, slip_bound=float("nan"))])
-    assert "slope 15" in shown
-    assert "flat: position ×" in shown
-    assert "9.0" in shown
+    text = SlipStudy({}, []).markdown([_row(), _row(**sloping), _row(**sloping, slip_bound=float("nan"))])
+    assert "slope 15" in text
+    assert "flat: position ×" in text
+    assert "9.0" in text
 
 
 def test_immobile_machine_has_no_slips_in_the_table() -> None:

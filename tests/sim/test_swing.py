@@ -87,18 +87,15 @@ def test_sensors_on_the_cab_turn_about_the_swing_axis() -> None:
     x, y, yaw = sensors.pose_at(times)
     upper_x, upper_y, upper_yaw = sensors.upper_pose_at(times)
     axis_x, axis_y = p.vehicle.swing_axis
-    for ahead, beside, above, below in (
-        (upper_x, x, np.cos, np.cos),
-        (upper_y, y, np.sin, np.sin),
-    ):
-        np.testing.assert_allclose(ahead + axis_x * above(upper_yaw), beside + axis_x * below(yaw), atol=1e-9)
+    for upper, base, part in ((upper_x, x, np.cos), (upper_y, y, np.sin)):
+        np.testing.assert_allclose(upper + axis_x * part(upper_yaw), base + axis_x * part(yaw), atol=1e-9)
     assert axis_y == 0.0
     np.testing.assert_allclose(upper_yaw - yaw, np.interp(times, truth.t, truth.swing), atol=1e-9)
     assert truth.swing.max() == pytest.approx(math.pi, abs=0.01)
     assert truth.swing.min() == pytest.approx(-math.pi, abs=0.01)
     fastest = int(np.argmax(truth.swing_rate))
-    shown = sensors.imu(round(truth.t[fastest] * 1e9)).angular_velocity[2]
-    assert shown == pytest.approx(0.94 + p.noise.gyro_bias, abs=5.0 * p.noise.gyro_stddev)
+    rate = sensors.imu(round(truth.t[fastest] * 1e9)).angular_velocity[2]
+    assert rate == pytest.approx(0.94 + p.noise.gyro_bias, abs=5.0 * p.noise.gyro_stddev)
     reading = sensors.swing(round(truth.t[fastest] * 1e9))
     assert reading.position == pytest.approx(truth.swing[fastest], abs=0.01)
 

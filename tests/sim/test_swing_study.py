@@ -69,12 +69,12 @@ def test_fixes_and_gyro_are_those_of_the_cab(
     np.testing.assert_allclose(by_machine, by_cab, atol=1e-9)  # both give the same position of the axis
     fixes = values[drive.is_fix] - drive.sensor_poses[drive.is_fix]
     assert np.std(fixes, axis=0) == pytest.approx((0.02, 0.02, p.sigma_heading), rel=0.15)
-    headings = values[drive.is_fix, 2] - at.yaw[drive.is_fix] - at.swing[drive.is_fix]
-    assert np.abs(headings).max() < 5.0 * p.sigma_heading
+    heading_errors = values[drive.is_fix, 2] - at.yaw[drive.is_fix] - at.swing[drive.is_fix]
+    assert np.abs(heading_errors).max() < 5.0 * p.sigma_heading
     rates = values[drive.is_rate, 0] - at.yaw_rate[drive.is_rate] - at.swing_rate[drive.is_rate]
     assert np.std(rates) == pytest.approx(0.01, rel=0.1)
-    shown = values[drive.is_angle, 0] - at.swing[drive.is_angle]
-    assert np.std(shown) == pytest.approx(STDDEV, rel=0.1)
+    errors = values[drive.is_angle, 0] - at.swing[drive.is_angle]
+    assert np.std(errors) == pytest.approx(STDDEV, rel=0.1)
     np.testing.assert_array_equal(trial.states[:, SWING], at.swing)
     np.testing.assert_array_equal(trial.states[:, SWING_RATE], at.swing_rate)
 
@@ -89,9 +89,9 @@ def test_start_angle_without_an_encoder_has_the_error_of_its_prior(
     p: StudyParameters, with_encoder: SlipEstimatorParameters, without_encoder: SlipEstimatorParameters
 ) -> None:
     short = load_study_parameters({"scenario": "dig_cycles", "duration": 8.0, "settling": 4.0})
-    bare, shown = (make_bench(short, estimator) for estimator in (without_encoder, with_encoder))
+    bare, equipped = (make_bench(short, estimator) for estimator in (without_encoder, with_encoder))
     assert not bare.drive.is_angle.any()
-    assert shown.drive.is_angle.sum() == round(8.0 * p.swing_rate)
+    assert equipped.drive.is_angle.sum() == round(8.0 * p.swing_rate)
     setting = bare.setting(CELL)
     trials = [make_trial(setting, seed) for seed in range(100)]
     errors = np.array([t.start[0][[YAW, SWING]] - t.start_state[[YAW, SWING]] for t in trials])
@@ -112,8 +112,8 @@ def test_bound_of_n_encoder_readings_is_the_variance_of_their_mean(
     rows = _rows(n, config, ON_SWING, np.diag((STDDEV**2, 0.0, 0.0)))
     start, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     P[SWING, SWING], P[SWING_RATE, SWING_RATE] = 1e6, 0.0
-    found = cramer_rao_bound(rows, np.tile(start, (n, 1)), start, P, config)[:, SWING, SWING]
-    np.testing.assert_allclose(found, STDDEV**2 / np.arange(1, n + 1), rtol=1e-6)
+    bound = cramer_rao_bound(rows, np.tile(start, (n, 1)), start, P, config)[:, SWING, SWING]
+    np.testing.assert_allclose(bound, STDDEV**2 / np.arange(1, n + 1), rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -124,11 +124,11 @@ def test_a_fix_above_bounds_the_sum_of_heading_and_swing(with_encoder: SlipEstim
     rows.measurements["stamp_ns"] = 1  # before any motion
     start, P = config["prior_mean"][0].copy(), np.zeros_like(config["prior_covariance"][0])
     of_yaw, of_swing = P[YAW, YAW], P[SWING, SWING] = 9e-4, 4e-4
-    found = cramer_rao_bound(rows, start[None], start, P, config)[0]
+    bound = cramer_rao_bound(rows, start[None], start, P, config)[0]
     total = of_yaw + of_swing + r
-    assert found[YAW, YAW] == pytest.approx(of_yaw - of_yaw**2 / total, rel=1e-4)
-    assert found[SWING, SWING] == pytest.approx(of_swing - of_swing**2 / total, rel=1e-4)
-    assert found[YAW, SWING] == pytest.approx(-of_yaw * of_swing / total, rel=1e-4)
+    assert bound[YAW, YAW] == pytest.approx(of_yaw - of_yaw**2 / total, rel=1e-4)
+    assert bound[SWING, SWING] == pytest.approx(of_swing - of_swing**2 / total, rel=1e-4)
+    assert bound[YAW, SWING] == pytest.approx(-of_yaw * of_swing / total, rel=1e-4)
 
 
 def _rows(count: int, config: ConfigRecord, kind: int, noise: FloatArray) -> Rows:
@@ -172,7 +172,7 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
 def _sensor(kind: int, p: SlipEstimatorParameters, config: ConfigRecord) -> Sensor:
     """Measurement function h of a sensor on the cab."""
 
-    def shown(x: FloatArray) -> FloatArray:
+    def measure(x: FloatArray) -> FloatArray:
         if kind == ON_SWING:
             return x[SWING : SWING + 1]
         if kind == YAW_RATE:
@@ -180,7 +180,7 @@ def _sensor(kind: int, p: SlipEstimatorParameters, config: ConfigRecord) -> Sens
             return np.array(((1.0 + x[GYRO_SCALE]) * rate + x[GYRO_BIAS],))
         return upper_poses(x[None, OF_POSE], x[SWING : SWING + 1], p.vehicle.swing_axis)[0]
 
-    return shown
+    return measure
 
 
 # Scores of filters
@@ -199,12 +199,12 @@ def test_a_filter_on_the_cab_is_near_its_bound(
     assert row.swing_rmse is not None
     assert row.swing_bound is not None
     assert 1.5 < row.nees_pose < 4.5
-    for rmse, least in (
+    for rmse, bound in (
         (row.position_rmse, row.position_bound),
         (row.heading_rmse, row.heading_bound),
         (row.swing_rmse, row.swing_bound),
     ):
-        assert 0.7 < rmse / least < 1.4
+        assert 0.7 < rmse / bound < 1.4
     assert (row.swing_bound < 3.0 * STDDEV) == encoder
 
 
@@ -228,9 +228,9 @@ def test_study_swings_the_upper_structure_of_its_vehicle(
     (row,) = json_of(tmp_path, *command)
     assert (row["truth"], row["scenario"]) == (SHEAR, "dig_cycles")
     assert 0.0 < row["swing_bound"] < 0.02  # rad, prior error of the encoder's offset
-    shown = capsys.readouterr().out
-    assert shown.startswith("vehicle: pc05_cab\n")
-    assert "swing mrad" in shown
+    output = capsys.readouterr().out
+    assert output.startswith("vehicle: pc05_cab\n")
+    assert "swing mrad" in output
     assert json_of(tmp_path, *command) == [row]  # the cache keeps the swing
 
 
@@ -239,10 +239,10 @@ def test_study_swings_the_upper_structure_of_its_vehicle(
     [
         (
             ["--truth", "matched"],
-            "study: truths: matched: cells with box_pose, imu/data_raw above are on the",
+            "study: truths: 'matched' is refused with box_pose, imu/data_raw on the upper structure",
         ),
-        (["--truth", "shear", "drawn"], "study: truths: drawn: cells with box_pose"),
-        (["--terrain", "hill"], "study: terrains: cells with box_pose, imu/data_raw above are on level"),
+        (["--truth", "shear", "drawn"], "study: truths: 'drawn' is refused with box_pose"),
+        (["--terrain", "hill"], "study: terrains: a terrain is refused with box_pose, imu/data_raw on"),
         (["--vehicle", "pc05"], "accepted: a vehicle with upper_structure.drive"),
     ],
 )

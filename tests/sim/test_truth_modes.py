@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simpler truth models: the thesis' forward simulation, and the one matched to sub-model 1b."""
+"""The thesis' forward simulation, and drives of both modes in pieces."""
 
 import numpy as np
 import pytest

@@ -38,23 +38,23 @@ def ground(name: str, *patches: Patch) -> Ground:
 
 
 def run(
-    given_: FloatArray, on: Ground, relief: float = VEHICLE.relief_pressure, every: int = 10
+    speeds: FloatArray, on: Ground, relief: float = VEHICLE.relief_pressure, every: int = 10
 ) -> FloatArray:
     """Rows after each ``every`` steps, and the one at the start."""
-    return run_loaded(given_, on, relief, dataclasses.replace(SETTINGS, sample_period=every * SETTINGS.step))
+    return run_loaded(speeds, on, relief, dataclasses.replace(SETTINGS, sample_period=every * SETTINGS.step))
 
 
-def run_loaded(given_: FloatArray, on: Ground, relief: float, loaded: TruthSettings) -> FloatArray:
+def run_loaded(speeds: FloatArray, on: Ground, relief: float, loaded: TruthSettings) -> FloatArray:
     machine = ShearDrive(on, VEHICLE, loaded, relief)
-    return np.vstack([machine.first_row(), machine.drive(given_)])
+    return np.vstack([machine.first_row(), machine.drive(speeds)])
 
 
 @settings(max_examples=40, deadline=None)
 @given(segments=SEGMENTS, name=NAMES, relief=RELIEF)
 def test_mirrored_commands_mirror_the_run(segments: list[Segment], name: str, relief: float) -> None:
-    given_ = commands(segments)
-    rows = run(given_, ground(name), relief)
-    mirrored = run(given_[:, ::-1], ground(name), relief)
+    speeds = commands(segments)
+    rows = run(speeds, ground(name), relief)
+    mirrored = run(speeds[:, ::-1], ground(name), relief)
     c = Column
     np.testing.assert_allclose(mirrored[:, [c.X, c.V_X]], rows[:, [c.X, c.V_X]], rtol=0, atol=1e-9)
     odd = [c.Y, c.YAW, c.V_Y, c.YAW_RATE]
@@ -69,9 +69,9 @@ def test_mirrored_commands_mirror_the_run(segments: list[Segment], name: str, re
 @given(segments=SEGMENTS, name=NAMES)
 def test_machine_is_symmetric_front_to_back(segments: list[Segment], name: str) -> None:
     """Symmetry under a rotation by π: reversed and swapped commands give the reversed path."""
-    given_ = commands(segments)
-    rows = run(given_, ground(name))
-    turned = run(-given_[:, ::-1], ground(name))
+    speeds = commands(segments)
+    rows = run(speeds, ground(name))
+    turned = run(-speeds[:, ::-1], ground(name))
     np.testing.assert_allclose(turned[:, :2], -rows[:, :2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(turned[:, 2], rows[:, 2], rtol=0, atol=1e-9)
 

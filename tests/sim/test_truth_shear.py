@@ -33,8 +33,8 @@ INNER_60 = {
 STRAIGHT_SLIP = {"sand": 0.0072, "sandy_loam": 0.016, "clayey_soil": 0.016, "dry_clay": 0.0016}
 
 
-def drive(*segments: tuple[float, float, float], soil: str = "sand", **more: object) -> Scenario:
-    return Scenario(name="test", soil=soil, segments=tuple(Segment(*s) for s in segments), **more)
+def drive(*segments: tuple[float, float, float], soil: str = "sand", **fields: object) -> Scenario:
+    return Scenario(name="test", soil=soil, segments=tuple(Segment(*s) for s in segments), **fields)
 
 
 def random_drive(seed: int, soil: str) -> Scenario:
@@ -120,7 +120,7 @@ def test_without_commands_nothing_moves() -> None:
         assert not getattr(truth, name).any()
 
 
-def test_comes_to_rest_without_chatter() -> None:
+def test_machine_comes_to_rest_without_chatter() -> None:
     truth = simulate(drive((5.0, 2.5, 1.0), (5.0, 0.0, 0.0)))
     rest = truth.interpolate(np.arange(7.0, 10.0, 0.005))
     assert np.ptp(rest.x) < 1e-5

@@ -226,7 +226,7 @@ FEATURES = st.one_of(
     st.builds(Ramp, ANGLE, st.floats(-0.6, 0.6), PLACE, st.floats(4.0, 9.0), st.floats(2.0, 4.0)),
     st.builds(Hill, PLACE, PLACE, st.floats(-2.0, 2.0), st.floats(4.0, 9.0)),
 )
-TERRAINS = st.lists(FEATURES, min_size=1, max_size=2).map(lambda found: Terrain("any", tuple(found)))
+TERRAINS = st.lists(FEATURES, min_size=1, max_size=2).map(lambda features: Terrain("any", tuple(features)))
 
 
 @given(terrain=TERRAINS, x=PLACE, y=PLACE)
@@ -238,14 +238,14 @@ def test_slopes_and_bends_are_derivatives_of_the_height(terrain: Terrain, x: flo
         for side in (-1e-5, 1e-5):
             shape_at(x + side * (axis == 0), y + side * (axis == 1), ground, aside)
             ends.append(aside[:3].copy())
-        found = (ends[1] - ends[0]) / 2e-5
-        assert found[0] == pytest.approx(shape[first], abs=1e-6)
-        assert found[1:] == pytest.approx(shape[list(seconds)], abs=1e-4)
+        derivatives = (ends[1] - ends[0]) / 2e-5
+        assert derivatives[0] == pytest.approx(shape[first], abs=1e-6)
+        assert derivatives[1:] == pytest.approx(shape[list(seconds)], abs=1e-4)
     assert heights(terrain, [0.0], [0.0])[0] == pytest.approx(0.0, abs=1e-12)
 
 
 @given(terrain=TERRAINS, x=PLACE, y=PLACE, yaw=ANGLE, v=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
-def test_moves_along_the_ground_by_its_rates(
+def test_pose_advances_along_the_ground_by_the_body_rates(
     terrain: Terrain, x: float, y: float, yaw: float, v: tuple[float, float, float]
 ) -> None:
     step, ground, shape = 1e-3, terrain.map, np.zeros(6)
@@ -284,8 +284,8 @@ def test_recorded_height_and_rates_match_the_ground() -> None:
     assert truth.z == pytest.approx(heights(terrain, truth.x, truth.y), abs=1e-12)
     assert truth.z.max() > 2.5
     roll_rate = np.gradient(truth.roll, truth.t) - np.gradient(truth.yaw, truth.t) * np.sin(truth.pitch)
-    calm = slice(1, -1)
-    assert truth.roll_rate[calm] == pytest.approx(roll_rate[calm], abs=2e-3)
+    inner = slice(1, -1)
+    assert truth.roll_rate[inner] == pytest.approx(roll_rate[inner], abs=2e-3)
 
 
 def test_bucket_load_shifts_the_weight_forward() -> None:

@@ -51,19 +51,19 @@ def without_fixes(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
     hidden = [f"--withhold={topic}:60:90" for topic in ("box_pose", "imu/data_raw")]
     sets = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in settings.items()]
     command = ["replay", bag, *hidden, *sets, "--reference", "truth/odometry"]
-    found: dict[str, Any] = json_of(bag.parent, *command)
-    return found
+    summary: dict[str, Any] = json_of(bag.parent, *command)
+    return summary
 
 
 @pytest.mark.slow
 def test_half_a_minute_without_fixes_is_bridged(bag: Path) -> None:
     """The drift is 1 %, below that of the sprockets alone."""
-    blind, found = without_fixes(bag, {}), without_fixes(bag, SETTINGS)
-    assert found["rmse"]["withheld"]["end"] < min(0.06, 0.8 * blind["rmse"]["withheld"]["end"])
-    assert found["rmse"]["heading"] < 0.006 < blind["rmse"]["heading"]
-    assert found["nees"] < 6.0
-    assert found["nees_position"] < 4.5
-    assert set(found["rejected"][TOPIC]) == {"begun", "waiting"}
+    blind, summary = without_fixes(bag, {}), without_fixes(bag, SETTINGS)
+    assert summary["rmse"]["withheld"]["end"] < min(0.06, 0.8 * blind["rmse"]["withheld"]["end"])
+    assert summary["rmse"]["heading"] < 0.006 < blind["rmse"]["heading"]
+    assert summary["nees"] < 6.0
+    assert summary["nees_position"] < 4.5
+    assert set(summary["rejected"][TOPIC]) == {"begun", "waiting"}
 
 
 def test_replay_reads_odometry_as_the_node_does(bag: Path) -> None:
@@ -74,7 +74,7 @@ def test_replay_reads_odometry_as_the_node_does(bag: Path) -> None:
         rows = read_inputs(opened, p, InputFilters(), ()).measurements(numbers)
     poses: list[Any] = [odometry_pose(m, TOPIC, p.odometries()[TOPIC]) for m in messages]
     expected = to_records(poses, numbers)
-    found = rows[rows["kind"] == ODOMETRY]
-    assert len(found) == len(expected) > 900
+    odometry = rows[rows["kind"] == ODOMETRY]
+    assert len(odometry) == len(expected) > 900
     for name in ("stamp_ns", "source", "value", "noise", "turn", "frame"):
-        np.testing.assert_array_equal(found[name], expected[name])
+        np.testing.assert_array_equal(odometry[name], expected[name])

@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "soak"
 RESULTS = Results("soak", ("bag*", "devices", "drive", *LOGS, "soak.md", "state.yaml*"))
 DRIVE_S, SPEED = 600, 10.0
-LONGEST_DRIVE_S = 3600.0  # longest drive of the emulator
+MAX_DRIVE_S = 3600.0  # longest drive of the emulator
 LIMITS = {"RSS (MB)": 10.0, "threads": 1.0, "open files": 1.0}  # growth per hour
 _SAMPLES = 240  # per run
 _PERIODS = (1.0, 30.0)  # s between samples
@@ -74,12 +74,12 @@ def _soak(duration_s: float, speed: float) -> int:
     print(f"soak: {duration_s:.0f} s at {speed:g} times real time; logs in {OUT}", flush=True)
     with _running(domain, _estimators()) as fast, _running(domain + 50, _devices(duration_s)) as slow:
         monitor = Monitor(domain)
-        playing = _play(drive, speed, domain)
-        graph = Graph(fast, slow, playing)
+        player = _play(drive, speed, domain)
+        graph = Graph(fast, slow, player)
         samples: list[Sample] = []
         try:
             for sample in iterate_with_bar(
-                _samples(monitor, graph, duration_s), "soak", total=_looks(duration_s)[0]
+                _samples(monitor, graph, duration_s), "soak", total=_sampling(duration_s)[0]
             ):
                 samples.append(sample)
             interrupted = False
@@ -87,12 +87,12 @@ def _soak(duration_s: float, speed: float) -> int:
             interrupted = True
         finally:
             ended = graph.exit_codes()
-            playing.send_signal(signal.SIGINT)
-            playing.wait()
+            player.send_signal(signal.SIGINT)
+            player.wait()
             monitor.close()
         lasted_s = samples[-1].time_s if samples else 0.0
-        found = _conclude(samples, monitor, f"{lasted_s:.0f} s at {speed:g} times real time", ended)
-        return ExitCode.INTERRUPTED if interrupted else found
+        code = _conclude(samples, monitor, f"{lasted_s:.0f} s at {speed:g} times real time", ended)
+        return ExitCode.INTERRUPTED if interrupted else code
 
 
 _TRACKSLIP = (sys.executable, "-m", "trackslip_tools.cli.main")
@@ -125,29 +125,29 @@ class _Programs(Processes):
 class Graph:
     """All processes of a soak."""
 
-    def __init__(self, fast: _Programs, slow: _Programs, playing: "subprocess.Popen[bytes]") -> None:
-        self._fast, self._slow, self._playing = fast, slow, playing
-        self._restart_s = LONGEST_DRIVE_S
+    def __init__(self, fast: _Programs, slow: _Programs, player: "subprocess.Popen[bytes]") -> None:
+        self._fast, self._slow, self._player = fast, slow, player
+        self._restart_s = MAX_DRIVE_S
 
     def pids(self) -> dict[str, int]:
         """Process ids by name."""
-        return {**self._fast.pids(), **self._slow.pids(), "player": self._playing.pid}
+        return {**self._fast.pids(), **self._slow.pids(), "player": self._player.pid}
 
     def exit_codes(self) -> dict[str, int]:
         """Exit codes of processes that ended too early."""
-        player = self._playing.poll()
+        player_code = self._player.poll()
         codes = {**self._fast.exit_codes(), **self._slow.exit_codes()}
-        return codes if player is None else {**codes, "player": player}
+        return codes if player_code is None else {**codes, "player": player_code}
 
     def keep_driving(self, elapsed_s: float, left_s: float) -> None:
         """Restart the emulated machine when its drive is over."""
         if elapsed_s > self._restart_s:
             self._slow.stop(["emulator"])
             self._slow.start(next(node for node in _devices(left_s) if node.executable == "emulator"))
-            self._restart_s = elapsed_s + LONGEST_DRIVE_S
+            self._restart_s = elapsed_s + MAX_DRIVE_S
 
 
-def _looks(duration_s: float) -> tuple[int, float]:
+def _sampling(duration_s: float) -> tuple[int, float]:
     """Number of samples, and their period, s."""
     period_s = min(max(duration_s / _SAMPLES, _PERIODS[0]), _PERIODS[1])
     return round(duration_s / period_s) - 1, period_s
@@ -155,7 +155,7 @@ def _looks(duration_s: float) -> tuple[int, float]:
 
 def _samples(monitor: Monitor, graph: Graph, duration_s: float) -> Iterator[Sample]:
     """Samples from the settled graph until the time is over or a node has ended."""
-    count, period_s = _looks(duration_s)
+    count, period_s = _sampling(duration_s)
     began_s = time.monotonic()
     monitor.spin_until(began_s + period_s)
     monitor.latency()
@@ -179,7 +179,7 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
     """Write the page; returns the exit code."""
     if len(samples) < 2:
         print(f"soak: ended at once: {dict(ended)}", file=sys.stderr)
-        return 1
+        return ExitCode.FAILED
     grown = [
         f"{node} {quantity}: {g.per_hour:.3g} ± {g.uncertainty:.2g} in an hour"
         for (node, quantity), g in growths(samples).items()
@@ -187,7 +187,7 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
     ]
     notes = [*(f"- {text} ({count} times)" for text, count in sorted(monitor.errors.items())), *grown]
     notes += [f"- {name} ended with exit code {code}" for name, code in ended.items()]
-    notes += [] if monitor.totals["estimates"] else ["- the slip estimator estimated nothing"]
+    notes += [] if monitor.totals["estimates"] else ["- the slip estimator published no estimates"]
     heading = f"{what}, {len(samples)} samples, on {os.cpu_count()} cores."
     text = page(samples, monitor.totals, heading) + "\n" + "".join(f"{note}\n" for note in notes)
     (OUT / "soak.md").write_text(text, encoding="utf-8")
@@ -224,7 +224,7 @@ def _devices(duration_s: float) -> list[NodeSpec]:
         devices=OUT / "devices",
         bag=OUT,
         can_port=42000 + os.getpid() % 1000,
-        duration=min(duration_s + 60.0, LONGEST_DRIVE_S),
+        duration=min(duration_s + 60.0, MAX_DRIVE_S),
         soil="sand",
         scenario="thesis",
         vehicle="pc05",

@@ -26,7 +26,7 @@ class Monitor:
         self._node = rclpy.create_node("soak")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._came: dict[int, float] = {}  # stamp of sprockets → arrival, s of the steady clock
+        self._arrivals: dict[int, float] = {}  # stamp of sprockets → arrival, s of the steady clock
         self._sequence = -1
         self._latencies: list[float] = []
         self.totals = {"estimates": 0, "reports missing": 0, "restarts of the drive": 0, "errors": 0}
@@ -47,8 +47,8 @@ class Monitor:
 
     def latency(self) -> dict[tuple[str, str], float]:
         """Quantiles of the delay from sprockets to their odometry on arrival, ms, since the last call."""
-        found, self._latencies = self._latencies or [math.nan], []
-        p50, p99 = np.quantile(found, (0.5, 0.99))
+        latencies, self._latencies = self._latencies or [math.nan], []
+        p50, p99 = np.quantile(latencies, (0.5, 0.99))
         return {("graph", "latency p50 (ms)"): 1e3 * p50, ("graph", "latency p99 (ms)"): 1e3 * p99}
 
     def close(self) -> None:
@@ -58,15 +58,15 @@ class Monitor:
         rclpy.try_shutdown()
 
     def _on_sprockets(self, message: Any) -> None:
-        if len(self._came) > 10_000:
-            self._came.clear()
-        self._came[_stamp(message)] = time.monotonic()
+        if len(self._arrivals) > 10_000:
+            self._arrivals.clear()
+        self._arrivals[_stamp(message)] = time.monotonic()
 
     def _on_odometry(self, message: Any) -> None:
         self.totals["estimates"] += 1
-        came = self._came.pop(_stamp(message), None)
-        if came is not None:
-            self._latencies.append(time.monotonic() - came)
+        arrival_s = self._arrivals.pop(_stamp(message), None)
+        if arrival_s is not None:
+            self._latencies.append(time.monotonic() - arrival_s)
 
     def _on_report(self, message: Any) -> None:
         self.totals["reports missing"] += max(message.sequence - self._sequence - 1, 0) * (

@@ -18,7 +18,7 @@ from scipy.stats import t as student
 
 from trackslip_common.arrays import FloatArray
 
-STRETCHES = 10
+SECTIONS = 10
 _SETTLING, _SETTLING_S = 0.1, 120.0  # of the run, and s: one-time allocations are done by then
 _CONFIDENCE = 0.95
 _HOUR = 3600.0  # s
@@ -47,21 +47,21 @@ class Growth(NamedTuple):
 
 def growth(times_s: FloatArray, values: FloatArray) -> Growth:
     """Slope of (n,) values over their times; NaN values are ignored."""
-    seen = np.isfinite(values)
-    if not seen.any():
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
         return Growth(math.nan, math.nan, math.nan, math.nan)
-    times_s, values = times_s[seen], values[seen]
+    times_s, values = times_s[is_finite], values[is_finite]
     length_s = times_s[-1] - times_s[0]
     settled = times_s >= times_s[0] + max(_SETTLING * length_s, _SETTLING_S)
-    if np.count_nonzero(settled) < 2 * STRETCHES:
+    if np.count_nonzero(settled) < 2 * SECTIONS:
         return Growth(float(values[0]), float(values[-1]), math.nan, math.nan)
     times_s, values = times_s[settled], values[settled]
-    parts = zip(np.array_split(times_s, STRETCHES), np.array_split(values, STRETCHES), strict=True)
+    parts = zip(np.array_split(times_s, SECTIONS), np.array_split(values, SECTIONS), strict=True)
     at_s, means = np.array([(t.mean(), v.mean()) for t, v in parts]).T
     if np.ptp(means) == 0.0:
         return Growth(float(means[0]), float(means[-1]), 0.0, 0.0)
     fit = linregress(at_s, means)
-    quantile = student.ppf(0.5 + _CONFIDENCE / 2.0, STRETCHES - 2)
+    quantile = student.ppf(0.5 + _CONFIDENCE / 2.0, SECTIONS - 2)
     return Growth(
         float(means[0]), float(means[-1]), _HOUR * float(fit.slope), _HOUR * float(quantile * fit.stderr)
     )
@@ -76,7 +76,7 @@ def growths(samples: Sequence[Sample]) -> dict[tuple[str, str], Growth]:
 
 def page(samples: Sequence[Sample], counts: Mapping[str, float], heading: str) -> str:
     """Markdown page; ``counts``: totals at the end."""
-    found = growths(samples)
+    by_quantity = growths(samples)
     lines = [
         "# Soak",
         "",
@@ -87,7 +87,7 @@ def page(samples: Sequence[Sample], counts: Mapping[str, float], heading: str) -
         "| node | quantity | at first | at last | growth in an hour (95 %) |",
         "|---|---|--:|--:|--:|",
     ]
-    for (node, quantity), g in found.items():
+    for (node, quantity), g in by_quantity.items():
         rate = (
             "run too short"
             if math.isnan(g.per_hour)

@@ -25,9 +25,9 @@ def series(leak_per_hour: float, seed: int, seconds: float = 3600.0) -> tuple[np
 def test_a_leak_is_found_and_its_rate_within_the_interval(leak: float) -> None:
     inside = 0
     for seed in range(40):
-        found = growth(*series(leak, seed))
-        assert found.is_certain
-        inside += abs(found.per_hour - leak) < found.uncertainty
+        result = growth(*series(leak, seed))
+        assert result.is_certain
+        inside += abs(result.per_hour - leak) < result.uncertainty
     assert inside >= 34  # 38 expected
 
 
@@ -37,23 +37,23 @@ def test_noise_is_not_reported_as_a_leak() -> None:
 
 
 def test_short_run_has_no_growth_rate() -> None:
-    found = growth(*series(1.0, 1, seconds=250.0))
-    assert math.isnan(found.per_hour)
-    assert not found.is_certain
+    result = growth(*series(1.0, 1, seconds=250.0))
+    assert math.isnan(result.per_hour)
+    assert not result.is_certain
 
 
 def test_missing_samples_do_not_hide_the_growth() -> None:
     times, values = series(30.0, 1)
     gaps = values.copy()
     gaps[::7] = np.nan
-    found, whole = growth(times, gaps), growth(times, values)
-    assert abs(found.per_hour - whole.per_hour) < 2.0 * whole.uncertainty
+    result, whole = growth(times, gaps), growth(times, values)
+    assert abs(result.per_hour - whole.per_hour) < 2.0 * whole.uncertainty
     assert math.isnan(growth(times, np.full_like(values, np.nan)).first)
 
 
 def test_constant_series_has_zero_growth() -> None:
-    found = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
-    assert (found.first, found.last, found.per_hour, found.uncertainty) == (18.0, 18.0, 0.0, 0.0)
+    result = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
+    assert (result.first, result.last, result.per_hour, result.uncertainty) == (18.0, 18.0, 0.0, 0.0)
 
 
 def test_page_lists_only_series_present_in_every_sample() -> None:

@@ -22,7 +22,7 @@ from trackslip_common.nodes.launching import (
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
 from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, NodeSpec, demo_nodes
 
-_OWN = {
+_ARGUMENTS = {
     "duration": ("40.0", "seconds of driving"),
     "soil": ("sand", "a name of config/soils.yaml"),
     "scenario": ("thesis", "a name of config/scenarios, or a file"),
@@ -33,19 +33,21 @@ _OWN = {
 
 def generate_launch_description() -> LaunchDescription:
     """Launch all nodes; the drive starts some seconds after power-on, the bag is in the working directory."""
-    return LaunchDescription([*declare_arguments(_executables(), **_OWN), OpaqueFunction(function=_nodes)])
+    return LaunchDescription(
+        [*declare_arguments(_executables(), **_ARGUMENTS), OpaqueFunction(function=_nodes)]
+    )
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in (*_OWN, "vehicle")}
+    arguments = {name: LaunchConfiguration(name).perform(context) for name in (*_ARGUMENTS, "vehicle")}
     options = DemoOptions(
-        devices=Path(given["devices"]),
+        devices=Path(arguments["devices"]),
         bag=Path.cwd() / f"trackslip_{datetime.now():%Y%m%d_%H%M%S}",
         can_port=int(number_argument(context, "can_port", int)),
         duration=number_argument(context, "duration", float),
-        soil=given["soil"],
-        scenario=given["scenario"],
-        vehicle=given["vehicle"] or DEFAULT_VEHICLE,
+        soil=arguments["soil"],
+        scenario=arguments["scenario"],
+        vehicle=arguments["vehicle"] or DEFAULT_VEHICLE,
         autostart=True,
         laser=is_switched_on(context, "laser"),
         gnss=is_switched_on(context, "gnss"),
@@ -53,8 +55,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
     chosen = enabled_nodes(context, _launched([*demo_nodes(options), LIVE_NODE]))
     estimators = [one.executable for one in chosen if one.package == "trackslip_estimation"]
     emulator, *others = chosen
-    waiting = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
-    return make_nodes(context, [waiting, *others])
+    emulator = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
+    return make_nodes(context, [emulator, *others])
 
 
 def _launched(specs: Iterable[NodeSpec]) -> list[LaunchedNode]:
@@ -63,7 +65,7 @@ def _launched(specs: Iterable[NodeSpec]) -> list[LaunchedNode]:
 
 def _executables() -> list[str]:
     """Executables of all nodes that the demo can have."""
-    everything = DemoOptions(
+    options = DemoOptions(
         Path(), Path(), 0, 0.0, "", "", DEFAULT_VEHICLE, autostart=True, laser=True, gnss=True
     )
-    return [node.executable for node in (*demo_nodes(everything), LIVE_NODE)]
+    return [node.executable for node in (*demo_nodes(options), LIVE_NODE)]

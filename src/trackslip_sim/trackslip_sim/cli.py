@@ -60,10 +60,10 @@ def run(arguments: argparse.Namespace) -> int:
             f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_MAX_DURATION:g} s"
         )
     scenario = load_scenario(arguments.scenario, arguments.terrain or "", arguments.duration or 0.0)
-    given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
     vehicle = arguments.vehicle or scenario.vehicle
     receiver = {"gnss.device.rate": RECEIVER_RATE} if load_vehicle(vehicle).has_receiver else {}
-    p = load_emulator_parameters({**given, "vehicle": vehicle, **receiver})
+    settings = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
+    p = load_emulator_parameters({**settings, "vehicle": vehicle, **receiver})
     whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
     pieces = simulate_in_pieces(
         scenario, soil=arguments.soil, mode=arguments.mode, vehicle=whole, upper=upper
@@ -71,17 +71,17 @@ def run(arguments: argparse.Namespace) -> int:
     duration = duration_of(scenario, load_settings())
     refuse_existing(arguments.output)
     require_writable(json=arguments.json)
-    drive = (
+    window = (
         _record_to_end(p, pieces, duration, arguments.output)
         if arguments.output
         else _simulate_to_end(pieces, duration)
     )
     elapsed = waiting_time_s()
-    show(summary_text(p.vehicle.name, drive.truth, elapsed))
+    show(summary_text(p.vehicle.name, window.truth, elapsed))
     if arguments.output is not None:
         show(f"bag: {arguments.output}")
     if arguments.json is not None:
-        write_json(arguments.json, {"vehicle": p.vehicle.name, **summary(drive.truth, elapsed)})
+        write_json(arguments.json, {"vehicle": p.vehicle.name, **summary(window.truth, elapsed)})
     return int(ExitCode.DONE)
 
 
@@ -114,7 +114,7 @@ def _report_progress(pieces: Iterable[Truth], advance: Callable[[float], None]) 
 
 def summary_text(vehicle: str, truth: Truth, elapsed: float) -> str:
     """Text of the summary for the terminal."""
-    end = {name: float(getattr(truth, name)[-1]) for name in _FINAL_COLUMNS}
+    end = _final_values(truth)
     speed = truth.duration / elapsed
     return "\n".join(
         (
@@ -133,5 +133,8 @@ def summary_text(vehicle: str, truth: Truth, elapsed: float) -> str:
 
 def summary(truth: Truth, elapsed: float) -> dict[str, object]:
     """Content of the JSON file: last sample, duration, s, and elapsed time, s."""
-    final = {name: float(getattr(truth, name)[-1]) for name in _FINAL_COLUMNS}
-    return {"final": final, "duration_s": truth.duration, "elapsed_s": elapsed}
+    return {"final": _final_values(truth), "duration_s": truth.duration, "elapsed_s": elapsed}
+
+
+def _final_values(truth: Truth) -> dict[str, float]:
+    return {name: float(getattr(truth, name)[-1]) for name in _FINAL_COLUMNS}

@@ -58,10 +58,10 @@ class EmulatorParameters(ParametersWithVehicle):
         return replace(self.gnss, antenna_x=antenna.x, antenna_y=antenna.y, antenna_z=antenna.z)
 
 
-def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:
-    """The defaults of ``config/``, replaced by the dotted names in ``given``.
+def load_emulator_parameters(values: Mapping[str, Any]) -> EmulatorParameters:
+    """The defaults of ``config/``, replaced by the dotted names in ``values``.
 
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return load_parameters(EmulatorParameters, NODE, DEFAULT_FILES, given)
+    return load_parameters(EmulatorParameters, NODE, DEFAULT_FILES, values)

@@ -17,7 +17,7 @@ class Results(NamedTuple):
     """Files and messages of the results of one kind of run."""
 
     kind: str
-    files: tuple[str, ...]  # files that a run writes and a later one replaces
+    files: tuple[str, ...]  # names or patterns of files that a run writes and a later one replaces
     option: str = ""  # prefix of messages: the option of the directory
 
     @property
@@ -63,7 +63,7 @@ def _claim(output: Path, results: Results) -> AbstractContextManager[None]:
     except BlockingIOError:
         os.close(lock)
         raise results.refusal(f"another {results.kind} is writing to '{output}'") from None
-    for pattern in results.files:
+    for pattern in results.files:  # such as ``bag*``
         for path in output.glob(pattern):
             _remove(path)
     return _released_at_exit(lock)

@@ -55,6 +55,6 @@ def shortfalls(summary: Mapping[str, Any], counts: Mapping[str, Counts]) -> list
         for value in (summary["rmse"]["filter"], summary["nees_position"])
     )
     if position > POSITION_LIMIT and nees > NEES_LIMIT:
-        found = f"{position:.3f} m, at most {POSITION_LIMIT:g} m or twice the stated deviation expected"
-        lines.append(f"position RMSE: {found}")
+        expected = f"at most {POSITION_LIMIT:g} m or twice the stated deviation expected"
+        lines.append(f"position RMSE: {position:.3f} m, {expected}")
     return lines

@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
     nodes = DemoOptions(
         devices=(output / "dev").resolve(),
         bag=(output / "bag").resolve(),
-        can_port=_free_udp_port(),
+        can_port=free_udp_port(),
         duration=options.duration,
         vehicle=options.vehicle,
         soil=options.soil,
@@ -162,7 +162,7 @@ def _free_tcp_port() -> int:
     return usual
 
 
-def _free_udp_port() -> int:
+def free_udp_port() -> int:
     """A port that no other CAN emulation uses now."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
@@ -178,27 +178,27 @@ def claimed_domain() -> Iterator[int]:
     Raises:
         InputError: another demo runs in the domain, or ``ROS_DOMAIN_ID`` is not a number.
     """
-    stated = os.environ.get("ROS_DOMAIN_ID")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as claim:
-        domain = next((domain for domain in _candidate_domains(stated) if _bind_domain(claim, domain)), None)
+    requested = os.environ.get("ROS_DOMAIN_ID")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
+        domain = next((d for d in _candidate_domains(requested) if _bind_domain(lock, d)), None)
         if domain is None:
-            where = f"in domain {stated}" if stated else "in each domain"
+            where = f"in domain {requested}" if requested else "in each domain"
             raise InputError(f"ROS_DOMAIN_ID: another demo runs {where}; accepted: another one, or none set")
         yield domain
 
 
-def _candidate_domains(stated: str | None) -> list[int]:
-    if stated:
-        if not stated.isascii() or not stated.isdigit():
-            raise InputError(f"ROS_DOMAIN_ID: '{stated}' is no domain; accepted: 0 to 101")
-        return [int(stated)]
+def _candidate_domains(requested: str | None) -> list[int]:
+    if requested:
+        if not requested.isascii() or not requested.isdigit():
+            raise InputError(f"ROS_DOMAIN_ID: '{requested}' is no domain; accepted: 0 to 101")
+        return [int(requested)]
     return [_FIRST_DOMAIN + (os.getpid() + k) % _DOMAIN_COUNT for k in range(_DOMAIN_COUNT)]
 
 
-def _bind_domain(claim: socket.socket, domain: int) -> bool:
+def _bind_domain(lock: socket.socket, domain: int) -> bool:
     """Bind the abstract socket name of a domain; False if it is taken. The name ends with the process."""
     try:
-        claim.bind(f"\0trackslip-demo-domain-{domain}")
+        lock.bind(f"\0trackslip-demo-domain-{domain}")
     except OSError:
         return False
     return True

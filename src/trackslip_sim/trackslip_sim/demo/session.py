@@ -71,7 +71,7 @@ class Session:
         Raises:
             DemoFailure: a node ended, or the emulator did not finish in time.
         """
-        began = shown = time.monotonic()
+        began = shown_s = time.monotonic()
         until = began + duration + _MAX_END_DELAY
         before = Counter(self.received)
         terminal = self._console.is_terminal
@@ -83,12 +83,12 @@ class Session:
                 now = time.monotonic()
                 if now > until:
                     raise DemoFailure(f"emulator: not finished {_MAX_END_DELAY:g} s after the drive's end")
-                if now - shown < period:
+                if now - shown_s < period:
                     continue
-                coming = [topic for topic in _RATE_TOPICS if self.received[topic]]
-                rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in coming}
+                topics = [topic for topic in _RATE_TOPICS if self.received[topic]]
+                rates = {topic: (self.received[topic] - before[topic]) / (now - shown_s) for topic in topics}
                 line = status(now - began, self._monitor.pose, self._monitor.slips, rates)
-                shown, before = now, Counter(self.received)
+                shown_s, before = now, Counter(self.received)
                 if terminal:
                     live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
                 else:

@@ -82,8 +82,8 @@ def _compile_soil() -> None:
     estimator = SoilEstimator(load_soil_parameters())
     truth = simulate(load_scenario("slalom").with_duration(_SOIL_DURATION))
     motion = load_slip_parameters().motion
-    for given in soil_inputs(truth, estimator.parameters.vehicle.whole(), motion, InputErrors()):
-        estimator.advance(given)
+    for entry in soil_inputs(truth, estimator.parameters.vehicle.whole(), motion, InputErrors()):
+        estimator.advance(entry)
 
 
 FAMILIES: Mapping[str, Callable[[], None]] = MappingProxyType(

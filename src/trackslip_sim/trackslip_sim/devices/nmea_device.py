@@ -43,7 +43,7 @@ class NmeaDevice:
     Args:
         p: epochs and latency.
         line: its transmitter.
-        measure: position and heading at an epoch, with a quality no better than the one given.
+        measure: position and heading at an epoch, of a quality no better than the second argument.
         start_ns: time of the first epoch or earlier.
         seed: seed of the latency.
 

@@ -41,9 +41,9 @@ class Recording:
             topic: iter(self._serializers.get(topic, _serialize_each)(records))
             for topic, records in self._records.items()
         }
-        known = {topic: (absolute_name(topic), TOPICS[topic].type_name) for topic in messages}
+        channels = {topic: (absolute_name(topic), TOPICS[topic].type_name) for topic in messages}
         for topic, log_time_ns in self._order:
-            self._bag.write(*known[topic], next(messages[topic]), log_time_ns)
+            self._bag.write(*channels[topic], next(messages[topic]), log_time_ns)
         self._order.clear()
         self._records.clear()
 

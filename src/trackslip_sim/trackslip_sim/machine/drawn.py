@@ -41,9 +41,9 @@ class DrawnMachine:
     fix_variance: float = 1.0  # true over stated
 
 
-def uniform_variance(most: float) -> float:
-    """Variance of a uniform variable between −``most`` and ``most``."""
-    return most * most / 3.0
+def uniform_variance(limit: float) -> float:
+    """Variance of a uniform variable between −``limit`` and ``limit``."""
+    return limit * limit / 3.0
 
 
 def draw_machine(random: np.random.Generator) -> DrawnMachine:
@@ -67,10 +67,10 @@ class MotionErrors:
     ) -> None:
         """``period``: s between two samples."""
         self._machine, self._tread, self._random = machine, tread, random
-        kept, slow = math.exp(-period / CORRELATION_TIME), math.exp(-period / _MEAN_TIME)
-        self._noise = ([math.sqrt(1.0 - kept * kept)], [1.0, -kept])
-        self._mean = ([1.0 - slow], [1.0, -slow])
-        self._noise_state = kept * random.standard_normal((1, 2))
+        decay, mean_decay = math.exp(-period / CORRELATION_TIME), math.exp(-period / _MEAN_TIME)
+        self._noise = ([math.sqrt(1.0 - decay * decay)], [1.0, -decay])
+        self._mean = ([1.0 - mean_decay], [1.0, -mean_decay])
+        self._noise_state = decay * random.standard_normal((1, 2))
         self._mean_state = np.zeros((1, 2))
 
     def apply(self, tracks: FloatArray, twists: FloatArray) -> FloatArray:
@@ -80,12 +80,12 @@ class MotionErrors:
         white = self._random.standard_normal(tracks.shape)
         errors, self._noise_state = lfilter(*self._noise, white, axis=0, zi=self._noise_state)
         V, d = tracks.mean(axis=1), np.abs(tracks - mean).max(axis=1)
-        beyond = math.sqrt(machine.velocity_errors**2 - 1.0)
-        found = machine.radius * twists
-        found[:, 0] += beyond * np.hypot(SPEED_ERROR * V, SPEED_CHANGE_ERROR * d) * errors[:, 0]
-        found[:, 2] += beyond * np.hypot(TURN_ERROR * V, SPEED_CHANGE_ERROR * d) * errors[:, 1] / self._tread
-        found[:, 2] += machine.asymmetry * V
-        return np.asarray(found)
+        factor = math.sqrt(machine.velocity_errors**2 - 1.0)
+        drawn = machine.radius * twists
+        drawn[:, 0] += factor * np.hypot(SPEED_ERROR * V, SPEED_CHANGE_ERROR * d) * errors[:, 0]
+        drawn[:, 2] += factor * np.hypot(TURN_ERROR * V, SPEED_CHANGE_ERROR * d) * errors[:, 1] / self._tread
+        drawn[:, 2] += machine.asymmetry * V
+        return np.asarray(drawn)
 
 
 def interpolate_columns(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:

@@ -48,12 +48,12 @@ class InertialUnit:
 
     def step(self, now_ns: int, powered: bool) -> list[ImuSample]:
         """The samples due by now; none without ``powered``."""
-        found = []
+        samples = []
         while self.next_ns <= now_ns:
             if powered:
-                found.append(self._measure(self.next_ns))
+                samples.append(self._measure(self.next_ns))
             self.next_ns += self._period_ns
-        return found
+        return samples
 
 
 def simulate_drive(p: EmulatorParameters) -> Truth:
@@ -136,7 +136,7 @@ class EmulatedExcavator:
 
     def step_watson(self, now_ns: int) -> bytes:
         """Characters sent by now; the last line is completed after the end of the drive."""
-        return self._transmitted(WATSON, self.watson, self._watson_line, now_ns)
+        return self._step_serial(WATSON, self.watson, self._watson_line, now_ns)
 
     def step_inertial(self, now_ns: int) -> list[ImuSample]:
         """Samples due by now of an inertial unit other than a Watson; faults of bytes do not apply."""
@@ -152,7 +152,7 @@ class EmulatedExcavator:
 
     def step_gnss(self, now_ns: int) -> bytes:
         """Characters sent by now; the last burst is completed after the end of the drive."""
-        return self._transmitted(GNSS, self.gnss, self._gnss_line, now_ns)
+        return self._step_serial(GNSS, self.gnss, self._gnss_line, now_ns)
 
     def receive_watson(self, data: bytes, now_ns: int) -> None:
         """Pass bytes from the host to the inertial unit."""
@@ -182,7 +182,7 @@ class EmulatedExcavator:
         next_ns = self.watson.next_ns(now_ns, tick_ns)
         return next_ns if self.inertial is None else min(next_ns, self.inertial.next_ns)
 
-    def _transmitted(
+    def _step_serial(
         self, sensor: str, device: WatsonDevice | NmeaDevice, line: BaudLine, now_ns: int
     ) -> bytes:
         sent = b""

@@ -22,7 +22,7 @@ from trackslip_sim.scenarios.checks import check_keys, read_number, read_text
 CAN, WATSON, SICK, GNSS = SENSORS = ("can", "watson", "sick", "gnss")
 _SERIAL = (WATSON, SICK, GNSS)
 _NS_PER_S = 1_000_000_000
-_LONGEST = 86_400.0  # s
+_MAX_DURATION = 86_400.0  # s
 _KEYS = ("sensor", "kind", "start", "duration", "value")
 
 
@@ -66,19 +66,17 @@ KINDS: Mapping[str, FaultKind] = MappingProxyType(
         WRONG_BAUD: FaultKind(_SERIAL),  # both ends receive noise
         BUS_OFF: FaultKind((CAN,)),  # an error frame, silence, then the error frame "restarted"
         LOST_FRAMES: FaultKind((CAN,), "share of all frames"),
-        BURSTS: FaultKind(SENSORS, "s for which all is held back, to come at once", 60.0),
+        BURSTS: FaultKind(SENSORS, "s for which data are held back before they arrive at once", 60.0),
         STUCK: FaultKind(SENSORS),  # repeats the measurement at the fault's begin
         NOISE: FaultKind((CAN, WATSON, SICK), "standard deviation, as a share of full scale"),
         POLLUTION: FaultKind((SICK,)),
-        OCCLUSION: FaultKind((SICK,), "rad around the middle beam that something near covers", math.pi),
-        GLARE: FaultKind((SICK,), "share of the rays that are dazzled"),
+        OCCLUSION: FaultKind((SICK,), "rad around the middle beam that a near object covers", math.pi),
+        GLARE: FaultKind((SICK,), "share of the rays lost to glare"),
         RTK_FLOAT: FaultKind((GNSS,)),  # ambiguities are no longer fixed
         CODE_ONLY: FaultKind((GNSS,)),  # corrections are lost
         NO_FIX: FaultKind((GNSS,)),  # too few satellites
-        MULTIPATH: FaultKind(
-            (GNSS,), "m eastward that the position is off, of which the receiver knows nothing", 100.0
-        ),
-        CLOCK_STEP: FaultKind((GNSS,), "s that its clock is ahead of UTC", 86_400.0),
+        MULTIPATH: FaultKind((GNSS,), "m, error of the position to the east that is not stated", 100.0),
+        CLOCK_STEP: FaultKind((GNSS,), "s by which its clock is ahead of UTC", 86_400.0),
     }
 )
 
@@ -107,9 +105,9 @@ class Fault:
             )
         if not math.isfinite(self.start):
             raise InputError(f"fault: start = {self.start!r} is refused; accepted: a finite number of s")
-        if not 0.0 < self.duration <= _LONGEST:
+        if not 0.0 < self.duration <= _MAX_DURATION:
             raise InputError(
-                f"fault: duration = {self.duration!r} is refused; accepted: > 0 and <= {_LONGEST:g} s"
+                f"fault: duration = {self.duration!r} is refused; accepted: > 0 and <= {_MAX_DURATION:g} s"
             )
         if not kind.value and self.value != 0.0:
             raise InputError(f"fault: value = {self.value!r} is refused; accepted: none for {self.kind}")
@@ -172,7 +170,7 @@ class Faults:
     def add(self, fault: Fault, now_ns: int) -> None:
         """Add a fault; remove those that are over."""
         now = self.time(now_ns)
-        self._faults = [known for known in self._faults if known.start + known.duration > now]
+        self._faults = [earlier for earlier in self._faults if earlier.start + earlier.duration > now]
         self._faults.append(fault)
         self.added += 1
 

@@ -87,7 +87,9 @@ class FaultyBus:
             frames = []
         elif lost is not None:
             frames = [frame for frame in frames if self._random.random() >= lost.value]
-        frames = [(name, self._bytes.corrupt(data, now_ns)[:_FRAME_LENGTH]) for name, data in frames]
+        frames = [
+            (identifier, self._bytes.corrupt(data, now_ns)[:_FRAME_LENGTH]) for identifier, data in frames
+        ]
         out = self._buffer.transmit(frames, self._active_fault(f.BURSTS, now_ns), self._faults.time(now_ns))
         return [RESTARTED_FRAME, *out] if was_off else out
 
@@ -109,11 +111,13 @@ class _ByteFaults:
             return data
         if lost := self._faults.active_fault(self._sensor, f.LOST_BYTES, now_ns):
             data = bytes(
-                byte for byte, is_lost in zip(data, self._is_affected(data, lost), strict=True) if not is_lost
+                byte
+                for byte, is_lost in zip(data, self._draw_affected(data, lost), strict=True)
+                if not is_lost
             )
         if doubled := self._faults.active_fault(self._sensor, f.DOUBLED_BYTES, now_ns):
-            chosen = self._is_affected(data, doubled)
-            data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, chosen, strict=True))
+            affected = self._draw_affected(data, doubled)
+            data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, affected, strict=True))
         if corrupted := self._faults.active_fault(self._sensor, f.CORRUPTED_BYTES, now_ns):
             data = corrupt_bytes(data, corrupted.value, self._random)
         return data
@@ -122,9 +126,10 @@ class _ByteFaults:
         """Random bytes, as received at a wrong baud rate."""
         return self._random.bytes(count)
 
-    def _is_affected(self, data: bytes, fault: Fault) -> list[bool]:
-        chosen: list[bool] = (self._random.random(len(data)) < fault.value).tolist()
-        return chosen
+    def _draw_affected(self, data: bytes, fault: Fault) -> list[bool]:
+        """Whether each byte is affected."""
+        affected: list[bool] = (self._random.random(len(data)) < fault.value).tolist()
+        return affected
 
 
 def corrupt_bytes(data: bytes, rate: float, random: np.random.Generator) -> bytes:

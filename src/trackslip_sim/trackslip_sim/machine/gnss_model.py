@@ -65,9 +65,9 @@ class _GaussMarkov:
 
     def advance(self, t: float, normal: FloatArray) -> FloatArray:
         """Advance to time ``t``; return the process (k,), m, from standard normal draws ``normal`` (k,)."""
-        kept = 0.0 if self._value is None else math.exp(-abs(t - self._last_time) / self._time)
+        decay = 0.0 if self._value is None else math.exp(-abs(t - self._last_time) / self._time)
         before = np.zeros_like(normal) if self._value is None else self._value
-        self._value = kept * before + math.sqrt(1.0 - kept * kept) * self._stddev * normal
+        self._value = decay * before + math.sqrt(1.0 - decay * decay) * self._stddev * normal
         self._last_time = t
         return self._value
 
@@ -134,8 +134,8 @@ class GnssModel:
         error, velocity = self._p.velocity_stddev * self._velocity_random.standard_normal(2), np.zeros(2)
         if self._faults.active_fault(f.GNSS, f.STUCK, stamp_ns) is None:
             before, after = (
-                np.array(self._placement(stamp_ns + apart_ns).to_site(*arm)[:2])
-                for apart_ns in (-_VELOCITY_STEP_NS, _VELOCITY_STEP_NS)
+                np.array(self._placement(stamp_ns + offset_ns).to_site(*arm)[:2])
+                for offset_ns in (-_VELOCITY_STEP_NS, _VELOCITY_STEP_NS)
             )
             velocity = (after - before) / (2e-9 * _VELOCITY_STEP_NS)
         east, north = (velocity + error).tolist()
@@ -157,19 +157,19 @@ class GnssModel:
         errors = {
             q: process.advance(t, n) for (q, process), n in zip(self._correlated.items(), normal, strict=True)
         }
-        of_up = self._altitude_random.standard_normal((len(self._correlated), 1))
-        ups = {
+        normal_up = self._altitude_random.standard_normal((len(self._correlated), 1))
+        up_errors = {
             q: process.advance(t, n)
-            for (q, process), n in zip(self._correlated_up.items(), of_up, strict=True)
+            for (q, process), n in zip(self._correlated_up.items(), normal_up, strict=True)
         }
         white = self._random.standard_normal(3)
         east, north = errors.get(quality, np.zeros(2))
-        spread = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_CORRELATED_SHARE)
+        white_stddev = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_CORRELATED_SHARE)
         step = self._faults.active_fault(f.GNSS, f.MULTIPATH, stamp_ns)
         if step is not None:
             east += step.value
-        up = ups.get(quality, np.zeros(1))[0] + _UP_RATIO * spread * white[2]
-        return float(east + spread * white[0]), float(north + spread * white[1]), float(up)
+        up = up_errors.get(quality, np.zeros(1))[0] + _UP_RATIO * white_stddev * white[2]
+        return float(east + white_stddev * white[0]), float(north + white_stddev * white[1]), float(up)
 
     def _true_placement(self, stamp_ns: int) -> Placement:
         """The true placement; while stuck the one at the begin of the fault."""

@@ -45,7 +45,7 @@ class InputErrors:
 
 
 def soil_inputs(
-    truth: Truth, vehicle: Vehicle, limits: MotionParameters, sensing: InputErrors, seed: int = 0
+    truth: Truth, vehicle: Vehicle, limits: MotionParameters, errors: InputErrors, seed: int = 0
 ) -> Iterator[SoilInput]:
     """Machine states and hydraulics at 100 Hz each, in the order of arrival."""
     rng = np.random.default_rng(seed)
@@ -55,19 +55,19 @@ def soil_inputs(
     twists = np.stack((at.v_x, at.v_y, at.yaw_rate), axis=-1)
     tracks = np.stack((at.left_speed, at.right_speed), axis=-1) * vehicle.rolling_radius
     poses = np.stack((at.x, at.y, at.yaw), axis=-1)
-    deviations = np.array((sensing.speed_stddev, sensing.speed_stddev, sensing.yaw_rate_stddev))
-    kept, state = math.exp(-step / sensing.error_time), MotionState()
+    deviations = np.array((errors.speed_stddev, errors.speed_stddev, errors.yaw_rate_stddev))
+    decay, state = math.exp(-step / errors.error_time), MotionState()
     error, position_error = (
         deviations * rng.standard_normal(3),
-        sensing.position_stddev * rng.standard_normal(2),
+        errors.position_stddev * rng.standard_normal(2),
     )
-    covariance = np.diag((sensing.position_stddev**2, sensing.position_stddev**2, 0.0))
+    covariance = np.diag((errors.position_stddev**2, errors.position_stddev**2, 0.0))
     for k in range(len(at)):
         stamp_ns = START_NS + k * _PERIOD_NS
-        error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
-        position_error = kept * position_error + math.sqrt(
-            1.0 - kept**2
-        ) * sensing.position_stddev * rng.standard_normal(2)
+        error = decay * error + math.sqrt(1.0 - decay**2) * deviations * rng.standard_normal(3)
+        position_error = decay * position_error + math.sqrt(
+            1.0 - decay**2
+        ) * errors.position_stddev * rng.standard_normal(2)
         speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]))
         state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _MIN_TRACK_SPEED else 0.0)
@@ -79,10 +79,10 @@ def soil_inputs(
             pose,
             np.append(_slips(twist, tracks[k], vehicle), 0.0),
             state.motion,
-            swing=0.0 if sensing.swing_stddev is None else float(at.swing[k]),
-            swing_variance=math.inf if sensing.swing_stddev is None else sensing.swing_stddev**2,
+            swing=0.0 if errors.swing_stddev is None else float(at.swing[k]),
+            swing_variance=math.inf if errors.swing_stddev is None else errors.swing_stddev**2,
         )
-        left, right = sensing.pressure_stddev * rng.standard_normal(2) + sensing.offsets
+        left, right = errors.pressure_stddev * rng.standard_normal(2) + errors.offsets
         yield Hydraulics(
             stamp_ns + _HYDRAULICS_DELAY_NS,
             float(later.left_pressure[k] + left),

@@ -179,8 +179,8 @@ class _Host:
 
     def _receive_gnss(self, now_ns: int) -> None:
         sent = self.excavator.step_gnss(now_ns)
-        for found in self._gnss.feed(sent, now_ns) if sent else ():
-            self._on_gnss(found, now_ns)
+        for sample in self._gnss.feed(sent, now_ns) if sent else ():
+            self._on_gnss(sample, now_ns)
 
     def _exchange_with_scanner(self, now_ns: int) -> None:
         arrived = self.excavator.step_sick(now_ns)
@@ -247,8 +247,8 @@ class _Host:
             return of_stamps
 
         swing = column_serializer(of_sensors.blank_swing(make, self._body_frame), columns_at(swing_columns))
-        found = {
+        serializers = {
             name: column_serializer(topic.blank, columns_at(topic.columns))
             for name, topic in self._truth.items()
         }
-        return {**found, "truth/swing": swing}
+        return {**serializers, "truth/swing": swing}

@@ -146,8 +146,8 @@ class MachineSensors:
         """True x, y, yaw of the upper structure's frame at times of the drive, s."""
         x, y, yaw = self.pose_at(times)
         swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
-        x, y, above = upper_poses(np.stack((x, y, yaw), axis=1), swing, self._mounting.axis).T
-        return x, y, above
+        x, y, upper_yaw = upper_poses(np.stack((x, y, yaw), axis=1), swing, self._mounting.axis).T
+        return x, y, upper_yaw
 
     def swing(self, stamp_ns: int) -> SwingSample:
         """Reading of the swing encoder with noise."""
@@ -225,9 +225,9 @@ class MachineSensors:
     def _tabulate(self) -> None:
         """Tabulate the truth within the window as rows of ``Measurable``."""
         truth = self._window.truth
-        named = [getattr(truth, name) for name in Measurable._fields[:-3]]
+        columns = [getattr(truth, name) for name in Measurable._fields[:-3]]
         self._times: list[float] = truth.t.tolist()
-        self._table: FloatArray = np.column_stack([*named, accelerations(truth)])
+        self._table: FloatArray = np.column_stack([*columns, accelerations(truth)])
         self._slopes = np.diff(self._table, axis=0) / np.diff(truth.t)[:, np.newaxis]
         self._cached_ns = None
 
@@ -249,11 +249,11 @@ def tilt_readings(
 ) -> FloatArray:
     """(m, 5) readings of roll and pitch rate, rad/s, and specific force, m/s², of an inertial unit at C."""
     at = truth.interpolate(times)
-    moved = [np.interp(times, truth.t, column) for column in accelerations(truth).T]
-    down = np.cos(at.pitch)
-    gravity = (-np.sin(at.pitch), down * np.sin(at.roll), down * np.cos(at.roll))
+    motion = [np.interp(times, truth.t, column) for column in accelerations(truth).T]
+    vertical = np.cos(at.pitch)
+    gravity = (-np.sin(at.pitch), vertical * np.sin(at.roll), vertical * np.cos(at.roll))
     biases = noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z
-    forces = [a + GRAVITY * g + b for a, g, b in zip(moved, gravity, biases, strict=True)]
+    forces = [a + GRAVITY * g + b for a, g, b in zip(motion, gravity, biases, strict=True)]
     rates = at.roll_rate + noise.gyro_bias_x, at.pitch_rate + noise.gyro_bias_y
     stddevs = (*2 * (noise.gyro_stddev,), *3 * (noise.acceleration_stddev,))
     readings: FloatArray = np.column_stack((*rates, *forces))

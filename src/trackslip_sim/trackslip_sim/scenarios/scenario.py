@@ -93,13 +93,13 @@ class Scenario:
         if not (math.isfinite(duration) and duration > 0.0):
             raise InputError(f"duration: {duration!r} is refused; accepted: > 0 s")
         segments: list[Segment] = []
-        left = duration
-        while left > 1e-9:
+        remaining = duration
+        while remaining > 1e-9:
             for segment in self.segments:
-                part = min(segment.duration, left)
+                part = min(segment.duration, remaining)
                 segments.append(dataclasses.replace(segment, duration=part))
-                left -= part
-                if left <= 1e-9:
+                remaining -= part
+                if remaining <= 1e-9:
                     break
         return dataclasses.replace(self, segments=tuple(segments))
 
@@ -146,13 +146,15 @@ class Scenario:
         """(n,) mass in the bucket in each step, kg; initially 0."""
         return self._values_by_step([segment.load for segment in self.segments], step, begin, end)
 
-    def _values_by_step(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
-        """(n,) value of each step: that of its segment or the last given before; initially 0."""
-        values = [0.0]
-        for value in given:
-            values.append(values[-1] if value is None else value)
-        held: FloatArray = np.array(values[1:])[self._segment_indices(step, begin, end)]
-        return held
+    def _values_by_step(
+        self, values: Sequence[float | None], step: float, begin: int, end: int
+    ) -> FloatArray:
+        """(n,) value of each step: that of its segment, or the last one that is not None; initially 0."""
+        last_values = [0.0]
+        for value in values:
+            last_values.append(last_values[-1] if value is None else value)
+        by_step: FloatArray = np.array(last_values[1:])[self._segment_indices(step, begin, end)]
+        return by_step
 
     def _segment_indices(self, step: float, begin: int, end: int) -> IntArray:
         """(n,) index of the segment of each step."""

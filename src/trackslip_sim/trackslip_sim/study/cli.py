@@ -46,21 +46,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--truth", nargs="+", choices=TRUTHS, help="slip: shearing soil, or the filter's own model")
     add("--soil", nargs="+", metavar="S", help="names in config/soils.yaml")
     add("--filter", nargs="+", choices=FILTERS, help="slip: which filters")
-    add(
-        "--drawn", action="store_const", const=True, help="soil: also machines that are not quite the nominal"
-    )
+    add("--drawn", action="store_const", const=True, help="soil: also machines drawn about the nominal one")
     add("--sigma-xy", nargs="+", type=float, metavar="M", help="noise of the fixes' x and y, m")
     add("--sigma-omega", nargs="+", type=float, metavar="W", help="slip: noise of the gyro, rad/s")
     add("--sigma-heading", type=float, metavar="A", help="noise of the fixes' heading, rad")
     add("--seeds", type=int, metavar="N", help="runs of each cell")
-    add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
-    add("--terrain", nargs="+", metavar="NAME|FILE", help="on what ground; default: the scenario's own")
+    add("--scenario", nargs="+", metavar="NAME|FILE", help="scenarios to drive; slip: one")
+    add("--terrain", nargs="+", metavar="NAME|FILE", help="terrains to drive on; default: the scenario's own")
     shared_options.add_vehicle(parser, "none")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
     add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")
     shared_options.add_set(parser, "one of the estimator's")
     worker_options.add_options(parser)
-    add("--cache", type=Path, metavar="FILE", default=_cache_file(), help="what is finished (%(default)s)")
+    add(
+        "--cache",
+        type=Path,
+        metavar="FILE",
+        default=_cache_file(),
+        help="file of the finished pieces (%(default)s)",
+    )
     add("--fresh", action="store_true", help="compute also what is in the cache")
     add(
         "--output",
@@ -89,13 +93,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make_study(args: argparse.Namespace) -> Study[Any, Any]:
-    """The study with the given options; ``InputError`` for an option that it does not have."""
+    """The study with the options of the command; ``InputError`` for an option that it does not have."""
     kind = _STUDIES[args.estimator]
-    given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
-    for option in given.keys() - kind.PARAMETERS.keys():
+    values = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
+    for option in values.keys() - kind.PARAMETERS.keys():
         raise InputError(f"--{option.replace('_', '-')}: does not go with --estimator {args.estimator}")
-    named = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
-    return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, [*named, *args.set])
+    vehicle = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
+    return kind({kind.PARAMETERS[option]: value for option, value in values.items()}, [*vehicle, *args.set])
 
 
 def _cache_file() -> Path:

@@ -14,8 +14,7 @@ from trackslip_common.atomic_files import write_atomically
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_sim.study.cache import Cache, key_of
 from trackslip_tools.terminal_text import markdown_table
-from trackslip_tools.workers import Map
-from trackslip_tools.workers import open_workers as workers_of
+from trackslip_tools.workers import Map, open_workers
 
 TABLE_HEADER = "<!-- Written by trackslip study. -->\n"  # of a file of tables
 Workers = Callable[[Any], AbstractContextManager[Map]]  # opens workers with the data that all pieces share
@@ -23,7 +22,7 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 NO_VALUE = "–"  # cell of a table without a value
 Columns = Mapping[str, Callable[[Any], str]]
-"""Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
+"""Head of a column → its text for a row. Trailing spaces distinguish columns with the same head."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +41,7 @@ class GridParameters(Parameters):
 
 def in_process_workers(shared: Any) -> AbstractContextManager[Map]:
     """Workers that compute in this process."""
-    return workers_of(1, shared=shared)
+    return open_workers(1, shared=shared)
 
 
 def map_pieces(
@@ -72,7 +71,7 @@ class Study(ABC, Generic[Piece, Result]):
     cells: Mapping[Any, Sequence[Piece]]
 
     @abstractmethod
-    def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
+    def __init__(self, parameters: Mapping[str, Any], settings: Sequence[str]) -> None:
         """Check parameters and texts of ``--set``; raise ``InputError`` if one is refused."""
 
     @abstractmethod
@@ -103,7 +102,7 @@ class Study(ABC, Generic[Piece, Result]):
         Raises:
             InputError: the cache cannot be used, or a piece cannot be driven.
         """
-        pieces = [piece for of_cell in self.cells.values() for piece in of_cell]
+        pieces = [piece for cell_pieces in self.cells.values() for piece in cell_pieces]
         keys = [self._key(piece) for piece in pieces]
         cache: Cache[Result] = Cache(path, self.RESULT, fresh)
         missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if cache.get(key) is None}
@@ -117,8 +116,8 @@ class Study(ABC, Generic[Piece, Result]):
 
     def rows(self, results: Sequence[Result]) -> list[Any]:
         """One row per cell."""
-        found = iter(results)
-        return [self.row(cell, [next(found) for _ in of_cell]) for cell, of_cell in self.cells.items()]
+        remaining = iter(results)
+        return [self.row(cell, [next(remaining) for _ in pieces]) for cell, pieces in self.cells.items()]
 
     def files(self) -> tuple[str, ...]:
         """Names of the files that ``write`` writes: the tables, then the figures."""

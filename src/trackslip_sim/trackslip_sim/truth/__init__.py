@@ -5,5 +5,4 @@
 simulate    computes a ``record.Truth`` from scenario, soil and mode
 shear       mode "shear"; its kernels are ``motion`` (the step) and ``contact`` (the soil)
 thesis      mode "thesis": the simulation of §6.2.1
-kinematic   motion after sub-model 1b, for tests of estimators
 """

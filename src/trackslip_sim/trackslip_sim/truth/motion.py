@@ -5,7 +5,6 @@
     q = (v_x, v_y, φ̇, u_L, u_R)   hull velocity at C, track speeds u = r ω       m/s, rad/s
     M                              diag(m, m, I_z, m_t, m_t); m_t: inertia of track and motor as a mass
     R_j                            rolling resistance ½ μ_r W of a track          N
-
     G                              weight along the ground and its moment about C       N, N m
 
 The step minimises  ½ (q - q₀)ᵀ M (q - q₀)/Δt + Σ f ρ + Σ R_j |v_j| - Gᵀ q + drive(u)  over q: backward Euler
@@ -65,8 +64,8 @@ class Newton(NamedTuple):
 def new_step(gravity: FloatArray) -> Newton:
     """Work space for ``solve_step``; ``gravity`` is G, which the caller updates in place."""
     sums = ShearSums(np.zeros((2, 3)), np.zeros((2, 6)))
-    given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2), gravity
-    return Newton(*given, sums, np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5), np.zeros(2))
+    inputs = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2), gravity
+    return Newton(*inputs, sums, np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5), np.zeros(2))
 
 
 @compiled
@@ -205,8 +204,8 @@ def slope_along(newton: Newton) -> float:
 @compiled
 def set_relief_limits(q: FloatArray, machine: Machine, limits: FloatArray) -> None:
     """Fill the lowest and highest thrust of each motor (2, 2), N; a motor driven by its track holds more."""
-    more = machine.brake_limit - machine.drive_limit
+    extra = machine.brake_limit - machine.drive_limit
     for k in range(2):
         speed = q[3 + k] / machine.slip_floor
-        limits[k, 0] = -machine.drive_limit - more * min(max(speed, 0.0), 1.0)
-        limits[k, 1] = machine.drive_limit + more * min(max(-speed, 0.0), 1.0)
+        limits[k, 0] = -machine.drive_limit - extra * min(max(speed, 0.0), 1.0)
+        limits[k, 1] = machine.drive_limit + extra * min(max(-speed, 0.0), 1.0)

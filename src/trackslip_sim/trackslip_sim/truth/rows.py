@@ -145,8 +145,8 @@ def _slip(ground_speed: FloatArray, track_speed: FloatArray, floor: float) -> Fl
     return _ratio(track_speed - ground_speed, track_speed, floor)
 
 
-def _ratio(above: FloatArray, below: FloatArray, floor: float) -> FloatArray:
-    """Quotient, 0 where |below| < floor."""
-    defined = np.abs(below) >= floor
-    quotient: FloatArray = np.divide(above, below, out=np.zeros_like(above), where=defined)
+def _ratio(numerator: FloatArray, denominator: FloatArray, floor: float) -> FloatArray:
+    """Quotient, 0 where |denominator| < ``floor``."""
+    defined = np.abs(denominator) >= floor
+    quotient: FloatArray = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=defined)
     return quotient

@@ -47,7 +47,7 @@ from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, Terrain, TerrainMap, shape_at
 
 SETTLING_TIME = 3.0  # s at standstill on a slope before the start: the soil shears until it holds the machine
-MIN_RADIUS = 2.0  # contact lengths: least radius of ground on which the tangent plane stands for the ground
+MIN_RADIUS = 2.0  # contact lengths, least radius of ground that the tangent plane approximates
 
 
 class Model(NamedTuple):
@@ -193,10 +193,10 @@ class ShearDrive:
             valves_of(vehicle, settings),
             settings.steps_per_sample,
         )
-        still = (np.zeros(3), np.zeros(SIZE), np.zeros(SIZE), np.zeros(2), np.zeros(2))
+        rest = (np.zeros(3), np.zeros(SIZE), np.zeros(SIZE), np.zeros(2), np.zeros(2))
         load = Load(mass_properties[0], np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1))
-        step = new_step(load.gravity)
-        self._state = State(*still, undisturbed_shear(settings.elements), load, np.zeros(6), step)
+        newton = new_step(load.gravity)
+        self._state = State(*rest, undisturbed_shear(settings.elements), load, np.zeros(6), newton)
         set_contact_loads(self._model, self._state)
         if self._terrain != FLAT:
             self._settle(round(SETTLING_TIME / settings.step))
@@ -229,12 +229,12 @@ class ShearDrive:
         """
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         spool = spool_positions(commands, self._model.valves, self._state.spool)
-        held = (
+        properties = (
             self._state.load.mass_properties[None].copy()
             if mass_properties is None
             else self._mass_properties(mass_properties)
         )
-        rows: FloatArray = integrate(spool, held, self._model, self._state)
+        rows: FloatArray = integrate(spool, properties, self._model, self._state)
         require_solved(rows, MAX_ITERATIONS)
         self._check_upright()
         return rows
@@ -249,11 +249,11 @@ class ShearDrive:
 
 
 def _check_terrain(terrain: Terrain, vehicle: Vehicle) -> None:
-    least = MIN_RADIUS * vehicle.contact_length
-    if not terrain.radius >= least:
+    min_radius = MIN_RADIUS * vehicle.contact_length
+    if not terrain.radius >= min_radius:
         raise InputError(
             f"terrain '{terrain.name}': a bend of radius {terrain.radius:.3g} m is refused;"
-            f" accepted: >= {least:.3g} m, {MIN_RADIUS:g} contact lengths"
+            f" accepted: >= {min_radius:.3g} m, {MIN_RADIUS:g} contact lengths"
         )
 
 

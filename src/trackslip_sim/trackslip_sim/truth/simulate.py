@@ -110,18 +110,18 @@ def _simulate_pieces(
     machine: Mode, recorder: Recorder, swing: Swing, mass_properties: MassProperties
 ) -> Iterator[Truth]:
     settings, scenario = recorder.settings, mass_properties.scenario
-    every = settings.steps_per_sample
+    steps_per_sample = settings.steps_per_sample
     steps = scenario.steps(settings.step)
-    piece = max(1, round(PIECE / settings.sample_period)) * every
+    piece_steps = max(1, round(PIECE / settings.sample_period)) * steps_per_sample
     done = 1
     start = recorder.truth(machine.first_row())
-    for begin in range(0, steps, piece):
-        end = min(begin + piece, steps)
+    for begin in range(0, steps, piece_steps):
+        end = min(begin + piece_steps, steps)
         swung = swing.drive(begin, end)
         rows = machine.drive(
             scenario.commands(settings.step, begin, end), mass_properties.rows(swung[:, 0], begin, end)
         )
-        truth = recorder.truth(rows, done, swung[every - 1 :: every])
+        truth = recorder.truth(rows, done, swung[steps_per_sample - 1 :: steps_per_sample])
         yield join_pieces([start, truth]) if begin == 0 else truth
         done += len(rows)
 

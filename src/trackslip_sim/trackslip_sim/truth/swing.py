@@ -65,8 +65,8 @@ def swing_motion(
     change = acceleration * step
     for k in range(targets.size):
         before = rate
-        left = targets[k] - motor - rate * step
-        requested = math.copysign(min(fastest, math.sqrt(2.0 * acceleration * abs(left))), left)
+        remaining = targets[k] - motor - rate * step
+        requested = math.copysign(min(fastest, math.sqrt(2.0 * acceleration * abs(remaining))), remaining)
         rate += min(max(requested - rate, -change), change)
         motor += (before + rate) / 2.0 * step
         if abs(targets[k] - motor) <= 2.0 * change * step and abs(rate) <= 2.0 * change:

@@ -174,8 +174,8 @@ def _rounding_profile(t: float) -> tuple[float, float, float]:
 def heights(terrain: Terrain, x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) -> FloatArray:
     """h (n,), m, at points x, y (n,), m."""
     shape, ground = np.zeros(_WIDTH), terrain.map
-    found = np.empty(len(x))
-    for k, (a, b) in enumerate(zip(x, y, strict=True)):
-        shape_at(float(a), float(b), ground, shape)
-        found[k] = shape[0]
-    return found
+    result = np.empty(len(x))
+    for k, (x_k, y_k) in enumerate(zip(x, y, strict=True)):
+        shape_at(float(x_k), float(y_k), ground, shape)
+        result[k] = shape[0]
+    return result

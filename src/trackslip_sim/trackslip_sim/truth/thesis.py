@@ -81,13 +81,13 @@ class State(NamedTuple):
     q: FloatArray  # (3,) v_x, v_y, φ̇
     angle: FloatArray  # (2,) rad, of the sprockets
     spool: FloatArray  # (2,) -1 … 1
-    step: ForceBalance
+    balance: ForceBalance
 
 
 @compiled
-def evaluate_forces(q: FloatArray, body: Body, step: ForceBalance) -> None:
+def evaluate_forces(q: FloatArray, body: Body, balance: ForceBalance) -> None:
     """Fill the forces, their slopes, thrusts, resistances and moment at q."""
-    h, start, soil, force, slope = body.half_tread, step.start, step.soil, step.force, step.slope
+    h, start, soil, force, slope = body.half_tread, balance.start, balance.soil, balance.force, balance.slope
     inertia = body.yaw_inertia / h
     force[0], force[1] = body.mass * (q[0] - start[0]) / body.step, inertia * (q[2] - start[2]) / body.step
     slope[0], slope[1], slope[2] = body.mass / body.step, 0.0, inertia / body.step
@@ -95,9 +95,9 @@ def evaluate_forces(q: FloatArray, body: Body, step: ForceBalance) -> None:
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
         slip_gain = body.length / (
-            max(abs(step.u[k]), body.slip_floor) * soil[1]
+            max(abs(balance.u[k]), body.slip_floor) * soil[1]
         )  # i l/K of one m/s of sliding
-        x = (step.u[k] - v) * slip_gain
+        x = (balance.u[k] - v) * slip_gain
         size = abs(x)
         if size < 1e-4:
             share, bend = 0.5 * size, 0.5 - size / 3.0
@@ -106,42 +106,42 @@ def evaluate_forces(q: FloatArray, body: Body, step: ForceBalance) -> None:
             bend = (1.0 - share - math.exp(-size)) / size
         rho = math.sqrt(v * v + body.rolling_floor**2)
         limit = 0.5 * soil[2] * body.weight
-        step.thrust[k] = math.copysign(soil[0] * share, x)
-        step.resistance[k] = limit * v / rho
+        balance.thrust[k] = math.copysign(soil[0] * share, x)
+        balance.resistance[k] = limit * v / rho
         force_slope = soil[0] * bend * slip_gain + limit * body.rolling_floor**2 / rho**3
-        force[0] += step.resistance[k] - step.thrust[k]
-        force[1] -= side * (step.resistance[k] - step.thrust[k])
+        force[0] += balance.resistance[k] - balance.thrust[k]
+        force[1] -= side * (balance.resistance[k] - balance.thrust[k])
         slope[0] += force_slope
         slope[1] -= side * force_slope
         slope[2] += h * force_slope
     moment = soil[3] * body.weight * body.length / 3.0
     tightness = q[2] * h / max(abs(start[0]), body.slip_floor)
-    step.moment[0] = moment * min(max(tightness, -1.0), 1.0)
-    force[1] += step.moment[0] / h
+    balance.moment[0] = moment * min(max(tightness, -1.0), 1.0)
+    force[1] += balance.moment[0] / h
     if abs(tightness) < 1.0:
         slope[2] += moment / max(abs(start[0]), body.slip_floor)
 
 
 @compiled
-def solve_step(q: FloatArray, body: Body, step: ForceBalance) -> int:
+def solve_step(q: FloatArray, body: Body, balance: ForceBalance) -> int:
     """Advance q by one implicit step: Newton's, halved until the residual falls; returns the iterations."""
-    trial = step.trial
+    trial = balance.trial
     for i in range(3):
-        step.start[i] = trial[i] = q[i]
-    evaluate_forces(q, body, step)
+        balance.start[i] = trial[i] = q[i]
+    evaluate_forces(q, body, balance)
     for iteration in range(MAX_ITERATIONS):
-        force, moment = step.force[0], step.force[1]
+        force, moment = balance.force[0], balance.force[1]
         residual = math.hypot(force, moment)
         if residual < TOLERANCE:
             return iteration
-        a, b, c, d = step.slope[0], body.half_tread * step.slope[1], step.slope[1], step.slope[2]
+        a, b, c, d = balance.slope[0], body.half_tread * balance.slope[1], balance.slope[1], balance.slope[2]
         scale = a * d - b * c
         dv, dw = (d * force - b * moment) / scale, (a * moment - c * force) / scale
         part = 1.0
         for _ in range(MAX_HALVINGS):
             trial[0], trial[2] = q[0] - part * dv, q[2] - part * dw
-            evaluate_forces(trial, body, step)
-            if math.hypot(step.force[0], step.force[1]) < residual:
+            evaluate_forces(trial, body, balance)
+            if math.hypot(balance.force[0], balance.force[1]) < residual:
                 break
             part *= 0.5
         for i in range(3):
@@ -152,18 +152,18 @@ def solve_step(q: FloatArray, body: Body, step: ForceBalance) -> int:
 @compiled
 def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]) -> None:
     """Fill one row; ``counts`` are the soil's index and the iterations."""
-    q, step = state.q, state.step
+    q, balance = state.q, state.balance
     for i in range(3):
         row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
     for k in range(2):
-        row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = step.u[k], state.angle[k]
-        row[Column.THRUST + k], row[Column.DRIVE + k] = step.thrust[k], step.thrust[k]
-        row[Column.RESISTANCE + k], row[Column.SPOOL + k] = step.resistance[k], state.spool[k]
+        row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = balance.u[k], state.angle[k]
+        row[Column.THRUST + k], row[Column.DRIVE + k] = balance.thrust[k], balance.thrust[k]
+        row[Column.RESISTANCE + k], row[Column.SPOOL + k] = balance.resistance[k], state.spool[k]
         row[Column.LOAD + k] = 0.5 * body.weight
-    row[Column.MOMENT] = step.moment[0]
-    power = step.thrust[0] * step.u[0] + step.thrust[1] * step.u[1]
-    left, right = step.thrust[0] - step.resistance[0], step.thrust[1] - step.resistance[1]
-    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - step.moment[0])
+    row[Column.MOMENT] = balance.moment[0]
+    power = balance.thrust[0] * balance.u[0] + balance.thrust[1] * balance.u[1]
+    left, right = balance.thrust[0] - balance.resistance[0], balance.thrust[1] - balance.resistance[1]
+    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - balance.moment[0])
     row[Column.POWER], row[Column.LOSS] = power, power - gain
     row[Column.SOIL], row[Column.ITERATIONS] = counts
 
@@ -171,7 +171,7 @@ def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]
 @compiled
 def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
     """Advance under spools (1 + steps, 2); a row (WIDTH,) after each ``steps_per_row`` steps."""
-    body, q, step = model.body, state.q, state.step
+    body, q, balance = model.body, state.q, state.balance
     top_speed = model.valves.top_speed * model.valves.radius
     before = np.zeros(3)
     rows = np.zeros(((len(spool) - 1) // model.steps_per_row, WIDTH))
@@ -181,12 +181,12 @@ def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
         for n in range(3):
             before[n] = q[n]
         for n in range(4):
-            step.soil[n] = model.ground.table[soil, n]
+            balance.soil[n] = model.ground.table[soil, n]
         for k in range(2):
-            step.u[k], state.spool[k] = spool[i, k] * top_speed, spool[i, k]
-        worst = max(worst, solve_step(q, body, step))
+            balance.u[k], state.spool[k] = spool[i, k] * top_speed, spool[i, k]
+        worst = max(worst, solve_step(q, body, balance))
         # tan α = -sign(φ̇) φ̇² l/(4 g μ_l), erratum 6
-        q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * step.soil[3])
+        q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * balance.soil[3])
         advance_pose(state.pose, before, q, model.terrain, body.step)
         for k in range(2):
             state.angle[k] += (
@@ -210,7 +210,9 @@ class ThesisDrive:
     ) -> None:
         del relief_pressure
         if ground.terrain != FLAT:
-            raise InputError(f"terrain '{ground.terrain.name}': mode thesis knows none; accepted: mode shear")
+            raise InputError(
+                f"terrain '{ground.terrain.name}': mode thesis requires flat ground; accepted: mode shear"
+            )
         self.relief_pressure = vehicle.relief_pressure
         self._model = Model(
             _body(vehicle, settings),

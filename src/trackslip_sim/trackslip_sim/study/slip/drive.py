@@ -38,14 +38,14 @@ class Drive:
     truth: Truth  # at the rows
     begin: Window  # state of the estimator at the start
     rows: Rows  # values and noises are set per run and cell
-    true_drives: RecordArray  # (k,) as those of the rows, from angles without rounding
+    true_drives: RecordArray  # (k,) drives of the rows, from angles without rounding
     samples: IntArray  # rows of the sprocket samples, at which the estimator publishes
     scored: IntArray  # (s,) ``samples`` after settling
     moving: BoolArray  # (s,) whether slips are defined
     turning: BoolArray  # (s,) moving, and in a turn
     sensor_poses: FloatArray  # (k, 3) true pose of the sensor of the fixes
     start_sensor_pose: FloatArray  # (3,) true pose of this sensor at the start
-    gyro_rate: FloatArray  # (k,) true yaw rate of the gyro's mount, rad/s
+    gyro_yaw_rate: FloatArray  # (k,) true yaw rate of the gyro's mount, rad/s
     swings: bool  # whether any sensor is mounted on the upper structure
     fix_size: int  # components of a fix: 3, or 2 without heading
     noise: SensorNoise  # of the other axes of the inertial unit, used on terrain
@@ -92,8 +92,8 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
     readings = [*_rates(p.gyro_rate, end, estimator), *_angles(p.swing_rate, end, estimator)]
-    found = [*sprockets, *readings, *_fixes(p, end, estimator)]
-    begin, rows = _read_log(found, estimator)
+    measurements = [*sprockets, *readings, *_fixes(p, end, estimator)]
+    begin, rows = _read_log(measurements, estimator)
     stamps_ns, kinds = rows.measurements["stamp_ns"], rows.measurements["kind"]
     at = truth.interpolate(stamps_ns * 1e-9)
     samples = np.flatnonzero(kinds == SPROCKETS)
@@ -118,7 +118,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         noise=load_emulator_parameters({}).noise,
         sensor_poses=_sensor_poses(at, estimator),
         start_sensor_pose=_sensor_poses(truth.sample_at(0.0), estimator)[0],
-        gyro_rate=_gyro_rate(at, estimator),
+        gyro_yaw_rate=_gyro_yaw_rate(at, estimator),
         swings=estimator.swings,
         fix_size=3 if estimator.poses()[_first_source(estimator.poses(), "pose_sources")].use_heading else 2,
     )
@@ -130,9 +130,9 @@ def _simulate(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str,
     return simulate(scenario, soil=soil, vehicle=whole, upper=upper)
 
 
-def _read_log(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
+def _read_log(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
     """The state at the start, and the rows after it with their sprocket speeds."""
-    log = make_log(to_records(found, SlipEstimator(p).sources), p)
+    log = make_log(to_records(measurements, SlipEstimator(p).sources), p)
     start, config = start_of_log(log, p, np.zeros(0, EVENT))
     window = run_in_one_block(log.rest, start, config)
     if window.best["coasting"][: window.count].any():
@@ -191,7 +191,7 @@ def _sensor_poses(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
     return poses
 
 
-def _gyro_rate(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
+def _gyro_yaw_rate(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
     """(k,) true yaw rate of the gyro's mount, rad/s."""
     above = next(iter(estimator.gyros().values())).above
     return at.yaw_rate + at.swing_rate if above else at.yaw_rate

@@ -25,9 +25,7 @@ from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParamet
 from trackslip_sim.study.slip.results import IGNORING_ATTITUDE, Row, Sums, sum_runs, summary
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, with_machine_noise
 
-_UNSPECIFIED_SOURCE = (
-    "unknown_source"  # source of fixes with default settings: their stamp error is unspecified
-)
+_UNSPECIFIED_SOURCE = "unknown_source"  # of fixes, with default settings: its stamp error is unspecified
 
 
 def evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
@@ -36,15 +34,13 @@ def evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstima
     if not cell.terrain:
         return row
     flat = _evaluate(cell, drive, p, estimator.changed({"use_attitude": False}))
-    found = {f"ignoring_{name}": getattr(flat, name) for name in IGNORING_ATTITUDE}
-    return replace(row, **found)
+    return replace(row, **{f"ignoring_{name}": getattr(flat, name) for name in IGNORING_ATTITUDE})
 
 
 def _evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
     setting = make_setting(cell, drive, p, estimator)
-    common = (
-        least_variances(setting, make_trial(setting, 0)) if cell.truth == SHEAR else None
-    )  # all drive the same
+    is_shear = cell.truth == SHEAR  # all seeds have the same drive and bound
+    common = least_variances(setting, make_trial(setting, 0)) if is_shear else None
 
     def score_seed(seed: int) -> Sums:
         trial = make_trial(setting, seed)
@@ -98,7 +94,7 @@ def least_variances(setting: Setting, trial: Trial) -> FloatArray:
     """(s, 7) least variances by the posterior Cramér–Rao bound."""
     drive, linear = setting.drive, setting.linear
     rows, true = with_machine_noise(trial.rows, trial.machine, linear)
-    covariances = cramer_rao_bound(rows, trial.states, trial.start_state, trial.spread, true)
+    covariances = cramer_rao_bound(rows, trial.states, trial.start_state, trial.truth_covariance, true)
     return output_variances(drive.scored, trial.states, covariances, trial.rows.drives, new_scratch(), linear)
 
 
@@ -121,8 +117,10 @@ def trace(setting: Setting, seed: int) -> Trace:
     errors, _ = estimation_errors(
         drive.samples, states, trial.states, trial.slips, new_scratch(), setting.linear
     )
-    found = states["mean"], states["covariance"]
-    deviations = np.sqrt(output_variances(drive.samples, *found, states, new_scratch(), setting.linear))
+    means, covariances = states["mean"], states["covariance"]
+    deviations = np.sqrt(
+        output_variances(drive.samples, means, covariances, states, new_scratch(), setting.linear)
+    )
     t, poses, slips = (
         drive.truth.t[drive.samples],
         trial.states[drive.samples, POSE],

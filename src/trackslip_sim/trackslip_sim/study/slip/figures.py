@@ -39,7 +39,7 @@ _EVERY = 10  # samples per plotted point of an estimate
 _RMSE = {"position": (1e3, "position (mm)"), "slip": (100.0, "slip (%)")}  # name → scale, label
 _NEES = {"nees_pose": (1.0, "NEES of the pose"), "nees_slip": (1.0, "NEES of the slips")}
 _RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-_TERRAIN_RATIOS = {  # name → divisor, label
+_TERRAIN_RATIOS = {  # name → bound (empty: 3), label
     "position_rmse": ("position_bound", "position ÷ bound"),
     "turning_slip_rmse": ("turning_slip_bound", "slip in turns ÷ bound"),
     "nees_pose": ("", "NEES of the pose ÷ 3"),
@@ -53,14 +53,14 @@ def run_figures(p: StudyParameters, estimator: SlipEstimatorParameters) -> Itera
         figure, axes = _panel_grid(3, len(drives))
         for column, (soil, drive) in enumerate(drives.items()):
             cell = Cell(SHEAR, soil, filter_, sigma_xy, sigma_omega)
-            found = trace(make_setting(cell, drive, p, estimator), seed=0)
-            _draw_path(axes[0][column], found, soil.replace("_", " "))
-            _draw_slips(axes[1][column], found, p.settling)
-            _draw_angle(axes[2][column], found, p.settling)
+            run = trace(make_setting(cell, drive, p, estimator), seed=0)
+            _draw_path(axes[0][column], run, spaced_name(soil))
+            _draw_slips(axes[1][column], run, p.settling)
+            _draw_angle(axes[2][column], run, p.settling)
         for row in range(3):
             axes[row][0].legend(fontsize=7)
-        given = f"σ_xy = {1e3 * sigma_xy:g} mm, σ_ω = {sigma_omega:g} rad/s, {filter_.upper()}"
-        figure.suptitle(f"Figs {numbers}: {given}", x=0.01, ha="left")
+        conditions = f"σ_xy = {1e3 * sigma_xy:g} mm, σ_ω = {sigma_omega:g} rad/s, {filter_.upper()}"
+        figure.suptitle(f"Figs {numbers}: {conditions}", x=0.01, ha="left")
         yield name, figure
 
 
@@ -79,8 +79,8 @@ def terrain_figure(rows: Sequence[Row]) -> Figure:
     terrains = list(dict.fromkeys(row.terrain for row in rows))
     figure, axes = _panel_grid(len(_TERRAIN_RATIOS), len(soils), sharey="row")
     for column, soil in enumerate(soils):
-        for panels, (name, (least, text)) in zip(axes, _TERRAIN_RATIOS.items(), strict=True):
-            _draw_terrains(panels[column], [row for row in rows if row.soil == soil], terrains, (name, least))
+        for panels, (name, (bound, text)) in zip(axes, _TERRAIN_RATIOS.items(), strict=True):
+            _draw_terrains(panels[column], [row for row in rows if row.soil == soil], terrains, (name, bound))
             panels[column].set(yscale="log", ylabel=text)
             panels[column].set_yticks(_RATIOS, [f"{ratio:g}" for ratio in _RATIOS])
             panels[column].yaxis.set_minor_locator(NullLocator())
@@ -115,35 +115,35 @@ def _panel_grid(
     return figure, [list(row) for row in figure.subplots(rows, columns, squeeze=False, sharey=sharey)]
 
 
-def _draw_path(axes: Axes, found: Trace, soil: str) -> None:
-    axes.plot(*found.poses[:, :2].T, color=_TRUTH, linewidth=2.5, label="truth")
-    axes.plot(*found.estimated_poses[:, :2].T, color=_LEFT, linewidth=1.0, label="estimate")
+def _draw_path(axes: Axes, run: Trace, soil: str) -> None:
+    axes.plot(*run.poses[:, :2].T, color=_TRUTH, linewidth=2.5, label="truth")
+    axes.plot(*run.estimated_poses[:, :2].T, color=_LEFT, linewidth=1.0, label="estimate")
     axes.set(title=soil, xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_adjustable("datalim")
 
 
-def _draw_slips(axes: Axes, found: Trace, settling: float) -> None:
+def _draw_slips(axes: Axes, run: Trace, settling: float) -> None:
     for side, (colour, name) in enumerate(((_LEFT, "left"), (_RIGHT, "right"))):
-        _draw_band(axes, found, side, (100.0, colour, name))
+        _draw_band(axes, run, side, (100.0, colour, name))
     _draw_settling(axes, settling, "slip (%)")
-    low, high = 100.0 * np.percentile(found.slips[:, :2], (0.5, 99.5))
+    low, high = 100.0 * np.percentile(run.slips[:, :2], (0.5, 99.5))
     axes.set_ylim(low - 8.0, high + 8.0)
 
 
-def _draw_angle(axes: Axes, found: Trace, settling: float) -> None:
-    _draw_band(axes, found, 2, (1e3, _ANGLE, "slip angle"))
+def _draw_angle(axes: Axes, run: Trace, settling: float) -> None:
+    _draw_band(axes, run, 2, (1e3, _ANGLE, "slip angle"))
     _draw_settling(axes, settling, "slip angle (mrad)")
     axes.set_ylim(-40.0, 40.0)
 
 
-def _draw_band(axes: Axes, found: Trace, which: int, look: tuple[float, str, str]) -> None:
+def _draw_band(axes: Axes, run: Trace, column: int, look: tuple[float, str, str]) -> None:
     """Draw truth, estimate, and a band of two standard deviations."""
     scale, colour, name = look
-    t, some = found.t[::_EVERY], slice(None, None, _EVERY)
-    mean, sigma = scale * found.estimated_slips[some, which], scale * found.slip_deviations[some, which]
+    t, every = run.t[::_EVERY], slice(None, None, _EVERY)
+    mean, sigma = scale * run.estimated_slips[every, column], scale * run.slip_deviations[every, column]
     axes.fill_between(t, mean - 2.0 * sigma, mean + 2.0 * sigma, color=colour, alpha=0.25, linewidth=0.0)
     axes.plot(t, mean, color=colour, linewidth=0.8, label=f"{name}, ±2σ")
-    axes.plot(found.t, scale * found.slips[:, which], color=_TRUTH, linewidth=1.0)
+    axes.plot(run.t, scale * run.slips[:, column], color=_TRUTH, linewidth=1.0)
 
 
 def _draw_settling(axes: Axes, settling: float, unit: str) -> None:
@@ -167,7 +167,7 @@ def _figure_over_sigma(
             for curve, look in _curves([row for row in rows if row.soil == soil]):
                 draw(panels[column], curve, name, scale, look)
             panels[column].set_ylim(bottom=0.0)
-        axes[0][column].set_title(soil.replace("_", " "))
+        axes[0][column].set_title(spaced_name(soil))
     axes[0][0].legend(fontsize=7)
     figure.suptitle(title, x=0.01, ha="left")
     return figure
@@ -176,13 +176,13 @@ def _figure_over_sigma(
 def _draw_terrains(
     axes: Axes, rows: Sequence[Row], terrains: Sequence[str], quantity: tuple[str, str]
 ) -> None:
-    name, least = quantity
+    name, bound = quantity
     axes.axhline(1.0, color=_TRUTH, linewidth=0.8)
     for colour, sigma in zip((_LEFT, _RIGHT), sorted({row.sigma_xy for row in rows}), strict=False):
         chosen = [row for row in rows if row.sigma_xy == sigma]
-        where = [terrains.index(row.terrain) for row in chosen]
-        for which, fill in (("", colour), ("ignoring_", "none")):
-            values = _column_values(chosen, which + name) / (_column_values(chosen, least) if least else 3.0)
+        positions = [terrains.index(row.terrain) for row in chosen]
+        for prefix, fill in (("", colour), ("ignoring_", "none")):
+            values = _column_values(chosen, prefix + name) / (_column_values(chosen, bound) if bound else 3.0)
             look = {
                 "markerfacecolor": fill,
                 "color": colour,
@@ -190,7 +190,7 @@ def _draw_terrains(
                 "markersize": 4,
                 "linewidth": 0.0,
             }
-            axes.plot(where, values, label=None if which else f"σ_xy = {1e3 * sigma:g} mm", **look)
+            axes.plot(positions, values, label=None if prefix else f"σ_xy = {1e3 * sigma:g} mm", **look)
     axes.set_xticks(range(len(terrains)), [spaced_name(name) for name in terrains], rotation=45, ha="right")
     axes.xaxis.set_minor_locator(NullLocator())
 
@@ -222,8 +222,8 @@ def _curves(rows: Sequence[Row]) -> Iterator[tuple[list[Row], dict[str, Any]]]:
 def _draw_rmse(axes: Axes, curve: Sequence[Row], name: str, scale: float, look: dict[str, Any]) -> None:
     sigma = [row.sigma_xy for row in curve]
     axes.plot(sigma, [scale * getattr(row, f"{name}_rmse") for row in curve], **look)
-    least = [scale * getattr(row, f"{name}_bound") for row in curve]
-    axes.plot(sigma, least, color=look["color"], linestyle=":", linewidth=1.0)
+    bound = [scale * getattr(row, f"{name}_bound") for row in curve]
+    axes.plot(sigma, bound, color=look["color"], linestyle=":", linewidth=1.0)
 
 
 def _draw_nees(axes: Axes, curve: Sequence[Row], name: str, scale: float, look: dict[str, Any]) -> None:

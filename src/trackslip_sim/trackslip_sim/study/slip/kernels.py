@@ -85,19 +85,19 @@ def cramer_rao_bound(
     """
     c = config[0]
     bounds = np.empty((rows.drives.size, start.size, start.size))
-    before, stamp_ns, none = start, 0, np.zeros((start.size, start.size))
-    P, room = P.copy(), rows.drives[:1].copy()
+    before, stamp_ns, zero = start, 0, np.zeros((start.size, start.size))
+    P, scratch = P.copy(), rows.drives[:1].copy()
     for k in range(rows.drives.size):
         measurement, drive = rows.measurements[k], rows.drives[k]
-        _, F, Q = linearize(before, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
+        _, F, Q = linearize(before, zero, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
         if c.swings:
             propagate_swing_covariance(P, F)
         propagate_covariance(P, F, Q, COUPLED)
         before, stamp_ns = states[k].copy(), measurement.stamp_ns
         if measurement.kind != SPROCKETS:
-            room[0] = drive
-            room[0].mean[:], room[0].covariance[:] = before, P
-            o = observe(room[0], measurement, c)
+            scratch[0] = drive
+            scratch[0].mean[:], scratch[0].covariance[:] = before, P
+            o = observe(scratch[0], measurement, c)
             correct(before.copy(), P, independent_observation(o.innovation, o.jacobian, o.noise))
         bounds[k] = P
     return bounds
@@ -113,18 +113,18 @@ def draw_from_model(
     """
     c = config[0]
     n, count, stamp_ns = x.size, rows.drives.size, 0
-    states, values, none = np.empty((count, n)), np.zeros((count, 3)), np.zeros((n, n))
-    room = rows.drives[:1].copy()
+    states, values, zero = np.empty((count, n)), np.zeros((count, 3)), np.zeros((n, n))
+    scratch = rows.drives[:1].copy()
     for k in range(count):
         measurement, drive = rows.measurements[k], rows.drives[k]
-        x, _, Q = linearize(x, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
+        x, _, Q = linearize(x, zero, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
         x = x + multiply_vector(root(Q), normals[k, :n])
         x[YAW] = wrap(x[YAW])
         states[k], stamp_ns = x, measurement.stamp_ns
         if measurement.kind != SPROCKETS:
-            room[0] = drive
-            room[0].mean[:] = x
-            o = observe(room[0], measurement, c)
+            scratch[0] = drive
+            scratch[0].mean[:] = x
+            o = observe(scratch[0], measurement, c)
             m = o.innovation.size
             values[k, :m] = (
                 measurement.value[:m] - o.innovation + multiply_vector(root(o.noise), normals[k, n : n + m])
@@ -166,11 +166,11 @@ def nearest_states(
 @compiled
 def slips_of(states: FloatArray, drives: RecordArray, config: RecordArray) -> FloatArray:
     """(k, 3) left slip, right slip, slip angle from true states and true sprocket speeds."""
-    c, found = config[0], np.empty((states.shape[0], 3))
+    c, result = config[0], np.empty((states.shape[0], 3))
     for k in range(states.shape[0]):
         left, right = drives[k].speeds.left, drives[k].speeds.right
-        found[k] = slips(states[k], body_twist(states[k], left, right, drives[k], c), left, right, c)
-    return found
+        result[k] = slips(states[k], body_twist(states[k], left, right, drives[k], c), left, right, c)
+    return result
 
 
 @compiled
@@ -179,24 +179,24 @@ def output_variances(
     states: FloatArray,
     covariances: FloatArray,
     drives: RecordArray,
-    room: Scratch,
+    scratch: Scratch,
     config: RecordArray,
 ) -> FloatArray:
     """(s, 7) variances of pose, slips and swing from covariances (k, n, n) about states (k, n), at s rows.
 
     The swing's are nan if no sensor is mounted on the upper structure.
     """
-    c, state, estimate = config[0], room.state[0], room.estimate[0]
-    found = np.empty((entries.size, ERRORS))
+    c, state, estimate = config[0], scratch.state[0], scratch.estimate[0]
+    variances = np.empty((entries.size, ERRORS))
     for i in range(entries.size):
         k = entries[i]
-        room.state[0] = drives[k]
+        scratch.state[0] = drives[k]
         state.mean[:], state.covariance[:] = states[k], covariances[k]
         fill_outputs(state, c, estimate)
         for j in range(3):
-            found[i, j], found[i, 3 + j] = covariances[k, j, j], estimate.slip_covariance[j, j]
-        found[i, SWING_COLUMN] = covariances[k, SWING, SWING] if c.swings else np.nan
-    return found
+            variances[i, j], variances[i, 3 + j] = covariances[k, j, j], estimate.slip_covariance[j, j]
+        variances[i, SWING_COLUMN] = covariances[k, SWING, SWING] if c.swings else np.nan
+    return variances
 
 
 @compiled
@@ -204,22 +204,22 @@ def estimation_errors(
     entries: IntArray,
     filtered: RecordArray,
     states: FloatArray,
-    slips_: FloatArray,
-    room: Scratch,
+    true_slips: FloatArray,
+    scratch: Scratch,
     config: RecordArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Errors (s, 7) of pose, slips and swing, and NEES (s, 2) of the pose and of both slips.
 
     Compares ``filtered`` (k,) of ``STATE`` with true states (k, n) and slips (k, 3), at s of the k rows.
     """
-    c, estimate = config[0], room.estimate[0]
+    c, estimate = config[0], scratch.estimate[0]
     errors, nees = np.empty((entries.size, ERRORS)), np.empty((entries.size, 2))
     for i in range(entries.size):
         k = entries[i]
         fill_outputs(filtered[k], c, estimate)
         errors[i, :3] = filtered[k].mean[:3] - states[k, :3]
         errors[i, YAW] = wrap(errors[i, YAW])
-        errors[i, SLIPS] = estimate.slips - slips_[k]
+        errors[i, SLIPS] = estimate.slips - true_slips[k]
         errors[i, SWING_COLUMN] = wrap(filtered[k].mean[SWING] - states[k, SWING]) if c.swings else np.nan
         nees[i, 0] = weighted_square(root(filtered[k].covariance[:3, :3].copy()), errors[i, :3])
         nees[i, 1] = weighted_square(root(estimate.slip_covariance[:2, :2].copy()), errors[i, 3:5])

@@ -15,7 +15,7 @@ NODE = "study"
 SHEAR, MATCHED, DRAWN = "shear", "matched", "drawn"
 TRUTHS = (SHEAR, MATCHED, DRAWN)
 FILTERS = ("ekf", "daf")
-_SHORTEST = 1.0  # s, minimum scored time
+_MIN_SCORED_TIME = 1.0  # s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class StudyParameters(GridParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.settling > self.duration - _SHORTEST:
-            accepted = f"up to {_SHORTEST:g} s less than the duration, {self.duration:g} s"
+        if self.settling > self.duration - _MIN_SCORED_TIME:
+            accepted = f"up to {_MIN_SCORED_TIME:g} s less than the duration, {self.duration:g} s"
             raise InputError(f"{NODE}: settling: {self.settling:g} s is refused; accepted: {accepted}")
         if any(self.terrains) and DRAWN in self.truths:
             raise InputError(f"{NODE}: terrains: not with truth {DRAWN}, whose drives are on level ground")
@@ -53,13 +53,13 @@ class Cell:
     terrain: str = ""  # empty: the scenario's own
 
 
-def load_study_parameters(given: dict[str, object]) -> StudyParameters:
-    """The defaults of ``config/``, replaced by the ``given`` values.
+def load_study_parameters(values: dict[str, object]) -> StudyParameters:
+    """The defaults of ``config/``, replaced by ``values``.
 
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return load_parameters(StudyParameters, NODE, ("study.yaml",), given)
+    return load_parameters(StudyParameters, NODE, ("study.yaml",), values)
 
 
 def cells(p: StudyParameters) -> Iterator[Cell]:

@@ -86,8 +86,8 @@ def sum_runs(runs: Iterable[Sums]) -> Sums:
 
 def mean_bounds(dof: int, runs: int) -> Interval:
     """Interval that contains the mean over runs of a χ² variable with probability ``CONFIDENCE``."""
-    beyond = np.array(((1.0 + CONFIDENCE) / 2.0, (1.0 - CONFIDENCE) / 2.0))
-    low, high = chdtri(dof * runs, beyond) / runs
+    tails = np.array(((1.0 + CONFIDENCE) / 2.0, (1.0 - CONFIDENCE) / 2.0))
+    low, high = chdtri(dof * runs, tails) / runs
     return float(low), float(high)
 
 
@@ -97,7 +97,7 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
     squares, bounds, nees, nis = (part / runs for part in sums)
     values: dict[str, Any] = asdict(cell)
     values |= {"sigma_heading": p.sigma_heading, "scenario": p.scenario, "seeds": runs}
-    for name, columns, requested, tracks in (
+    for name, columns, mask, tracks in (
         ("position", _POSITION, always, 1),
         ("heading", _HEADING, always, 1),
         ("slip", _SLIPS, drive.moving, 2),
@@ -105,15 +105,15 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
         ("alpha", _ALPHA, drive.moving, 1),
         *([("swing", _SWING, always, 1)] if drive.swings else []),
     ):
-        values[f"{name}_rmse"] = _root_mean(squares[requested, columns], tracks)
-        values[f"{name}_bound"] = _root_mean(bounds[requested, columns], tracks)
-    numbers = {"nees_pose": 3, "nees_slip": 2, "nis_pose": drive.fix_size, "nis_yaw_rate": 1}
-    intervals = {name: mean_bounds(dof, runs) for name, dof in numbers.items()}
+        values[f"{name}_rmse"] = _root_mean(squares[mask, columns], tracks)
+        values[f"{name}_bound"] = _root_mean(bounds[mask, columns], tracks)
+    dimensions = {"nees_pose": 3, "nees_slip": 2, "nis_pose": drive.fix_size, "nis_yaw_rate": 1}
+    intervals = {name: mean_bounds(dof, runs) for name, dof in dimensions.items()}
     values |= {f"{name}_bounds": interval for name, interval in intervals.items()}
-    for name, found in (("nees_pose", nees[:, 0]), ("nees_slip", nees[drive.moving, 1])):
+    for name, column in (("nees_pose", nees[:, 0]), ("nees_slip", nees[drive.moving, 1])):
         low, high = intervals[name]
-        values[name] = _mean(found)
-        values[f"{name}_inside"] = _mean((low <= found) & (found <= high))
+        values[name] = _mean(column)
+        values[f"{name}_inside"] = _mean((low <= column) & (column <= high))
     values["nis_pose"], values["nis_yaw_rate"] = map(float, nis)
     return Row(**values)
 

@@ -66,8 +66,8 @@ def _ratio_column(name: str, prefix: str = "") -> Callable[[Row], str]:
     """Column with the ratio of an error to its bound."""
 
     def show(row: Row) -> str:
-        least = getattr(row, name.removesuffix("rmse") + "bound")
-        return NO_VALUE if math.isnan(least) else f"{getattr(row, prefix + name) / least:.2f}"
+        bound = getattr(row, name.removesuffix("rmse") + "bound")
+        return NO_VALUE if math.isnan(bound) else f"{getattr(row, prefix + name) / bound:.2f}"
 
     return show
 
@@ -115,8 +115,8 @@ _TERRAIN_COLUMNS: Columns = {
     "NEES": lambda row: f"{row.ignoring_nees_pose:.1f}",
 }
 _TERRAIN_LEGEND = (
-    "×: the RMSE over its bound on that ground. flat: of the same filter without attitude, to which the "
-    "ground is flat."
+    "×: the RMSE over its bound on that ground. flat: of the same filter without attitude, which "
+    "assumes level ground."
 )
 
 
@@ -142,15 +142,15 @@ class _DriveCache:
 
 
 def _upper_sensor_parameters(
-    p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool
+    p: StudyParameters, estimator: SlipEstimatorParameters, truths_requested: bool
 ) -> StudyParameters:
-    """Parameters for sensors on the upper structure, shear truth only; ``chosen``: truths were requested."""
+    """Parameters for sensors on the upper structure: shear truth and level ground only."""
     topics = ", ".join(topic for topic, source in estimator.mountable_sources().items() if source.above)
-    above = f"cells with {topics} above are on"
-    if others := [truth for truth in p.truths if truth != SHEAR and chosen]:
-        raise InputError(f"{NODE}: truths: {others[0]}: {above} the {SHEAR} truth")
+    mounted = f"is refused with {topics} on the upper structure"
+    if truths_requested and (others := [truth for truth in p.truths if truth != SHEAR]):
+        raise InputError(f"{NODE}: truths: '{others[0]}' {mounted}; accepted: {SHEAR}")
     if any(p.terrains):
-        raise InputError(f"{NODE}: terrains: {above} level ground; accepted: none")
+        raise InputError(f"{NODE}: terrains: a terrain {mounted}; accepted: none")
     return replace(p, truths=(SHEAR,))
 
 
@@ -175,15 +175,15 @@ class SlipStudy(Study[Cell, Row]):
     SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, attitude, slip, models, shear, machine, kernels)
     FILE: ClassVar[str] = "study_table.md"
 
-    def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
-        first, *others = given.get("scenario", [None])
+    def __init__(self, parameters: Mapping[str, Any], settings: Sequence[str]) -> None:
+        first, *others = parameters.get("scenario", [None])
         if others:
             raise InputError(f"--scenario: '{others[0]}' is one too many; accepted: one")
         scenario = {} if first is None else {"scenario": first}
-        self._p = load_study_parameters({**given, **scenario})
+        self._p = load_study_parameters({**parameters, **scenario})
         self._estimator = load_slip_parameters(dict(map(parse_set, settings)))
         if self._estimator.swings:
-            self._p = _upper_sensor_parameters(self._p, self._estimator, "truths" in given)
+            self._p = _upper_sensor_parameters(self._p, self._estimator, "truths" in parameters)
         self.cells = {cell: [cell] for cell in cells(self._p)}
         self._common = {
             "study": {name: value for name, value in to_flat(self._p).items() if name not in _GRID},
@@ -220,8 +220,8 @@ class SlipStudy(Study[Cell, Row]):
         """The table, and the figures in ``figures``."""
         if any(cell.terrain for cell in self.cells):
             return _TERRAIN_FILE, "figures/study_slopes.png"
-        drawn = [f"study_{what}_{truth}" for truth in self._p.truths for what in ("rmse", "nees")]
-        return self.FILE, *(f"figures/{name}.png" for name in drawn)
+        names = [f"study_{what}_{truth}" for truth in self._p.truths for what in ("rmse", "nees")]
+        return self.FILE, *(f"figures/{name}.png" for name in names)
 
     def write(self, rows: Sequence[Row], folder: Path) -> None:
         from trackslip_sim.study.slip import figures  # loads matplotlib, which is slow

@@ -53,7 +53,7 @@ class Trial(NamedTuple):
     rows: Rows
     start: tuple[FloatArray, FloatArray]  # initial mean and covariance of the filter
     start_state: FloatArray  # (n,) true state at the start
-    spread: FloatArray  # (n, n) covariance of the true state about the filter's initial mean
+    truth_covariance: FloatArray  # (n, n) of the true state about the filter's initial mean
     states: FloatArray  # (k, n) true states of the filter's model at the rows
     slips: FloatArray  # (k, 3) left slip, right slip, slip angle
     machine: DrawnMachine = DrawnMachine()
@@ -97,12 +97,12 @@ def _matched_trial(setting: Setting, random: np.random.Generator) -> Trial:
     return Trial(_with_values(rows, values), start, start_state, covariance, states, slips)
 
 
-def _normals(random: np.random.Generator, count: int, more: int) -> FloatArray:
-    """(count, SIZE + more) standard normal draws for states and measurements."""
-    drawn = random.standard_normal((count, _DRAWN_STATES + more))
-    found = np.zeros((count, SIZE + more))
-    found[:, :_DRAWN_STATES], found[:, SIZE:] = drawn[:, :_DRAWN_STATES], drawn[:, _DRAWN_STATES:]
-    return found
+def _normals(random: np.random.Generator, count: int, extra: int) -> FloatArray:
+    """(count, SIZE + extra) standard normal draws for states and measurements."""
+    drawn = random.standard_normal((count, _DRAWN_STATES + extra))
+    normals = np.zeros((count, SIZE + extra))
+    normals[:, :_DRAWN_STATES], normals[:, SIZE:] = drawn[:, :_DRAWN_STATES], drawn[:, _DRAWN_STATES:]
+    return normals
 
 
 def _shear_trial(setting: Setting, random: np.random.Generator) -> Trial:
@@ -123,7 +123,7 @@ def _shear_trial(setting: Setting, random: np.random.Generator) -> Trial:
         (np.count_nonzero(fixes), 3)
     )
     noise = setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
-    values[rates, 0] = drive.gyro_rate[rates] + mean[GYRO_BIAS] + noise
+    values[rates, 0] = drive.gyro_yaw_rate[rates] + mean[GYRO_BIAS] + noise
     twists = np.stack((at.v_x, at.yaw_rate), axis=1)
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
     states = nearest_states(poses, twists, true_speeds, drive.true_drives, prior, setting.linear)
@@ -164,39 +164,42 @@ def _drawn_trial(setting: Setting, random: np.random.Generator) -> Trial:
     Slips refer to the nominal rolling radius: an error of the radius is not observable apart from slip.
     """
     drive, machine, c = setting.drive, draw_machine(random), setting.config[0]
-    whole, at, fixes, rates = drive.full_truth, drive.truth, drive.is_fix, drive.is_rate
-    r, B, period = c["rolling_radius"], c["tread"], float(whole.t[1])
+    truth, at, fixes, rates = drive.full_truth, drive.truth, drive.is_fix, drive.is_rate
+    r, B, period = c["rolling_radius"], c["tread"], float(truth.t[1])
     errors = MotionErrors(machine, B, period, random)
     twists = errors.apply(
-        r * np.stack((whole.left_speed, whole.right_speed), axis=1),
-        np.stack((whole.v_x, whole.v_y, whole.yaw_rate), axis=1),
+        r * np.stack((truth.left_speed, truth.right_speed), axis=1),
+        np.stack((truth.v_x, truth.v_y, truth.yaw_rate), axis=1),
     )
     poses = np.concatenate((np.zeros((1, 3)), integrate_twists(twists[1:], period, np.zeros(3))))
     delay = machine.fix_delay
-    at_rows, moving = interpolate_columns(at.t, whole.t, poses), interpolate_columns(at.t, whole.t, twists)
+    row_poses, row_twists = (
+        interpolate_columns(at.t, truth.t, poses),
+        interpolate_columns(at.t, truth.t, twists),
+    )
     deviations = fix_deviations(setting.cell, setting.sigma_heading) * np.sqrt(machine.fix_variance)
     start = _initial_estimate(setting, deviations * random.standard_normal(3))
     mean, covariance = prior = _initial_estimate(setting, np.zeros(3))
     mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
-    stamp_error, spread = c["stamp_errors"].max(), covariance.copy()
+    stamp_error, truth_covariance = c["stamp_errors"].max(), covariance.copy()
     mean[GYRO_SCALE], mean[FIX_DELAY] = machine.gyro_scale - 1.0, delay / stamp_error
-    spread[GYRO_SCALE, GYRO_SCALE] = uniform_variance(drawn.GYRO_SCALE)
-    spread[FIX_DELAY, FIX_DELAY] = uniform_variance(drawn.FIX_DELAY / stamp_error)
+    truth_covariance[GYRO_SCALE, GYRO_SCALE] = uniform_variance(drawn.GYRO_SCALE)
+    truth_covariance[FIX_DELAY, FIX_DELAY] = uniform_variance(drawn.FIX_DELAY / stamp_error)
     if c["model"] == TURNING:
         mean[ASYMMETRY] = machine.asymmetry
-        spread[ASYMMETRY, ASYMMETRY] = uniform_variance(drawn.ASYMMETRY)
-    values, of_fixes = np.zeros((len(at_rows), 3)), at.t[fixes] - delay
-    values[fixes] = interpolate_columns(of_fixes, whole.t, poses)
-    values[fixes] += deviations * random.standard_normal((len(of_fixes), 3))
+        truth_covariance[ASYMMETRY, ASYMMETRY] = uniform_variance(drawn.ASYMMETRY)
+    values, fix_times = np.zeros((len(row_poses), 3)), at.t[fixes] - delay
+    values[fixes] = interpolate_columns(fix_times, truth.t, poses)
+    values[fixes] += deviations * random.standard_normal((len(fix_times), 3))
     noise = machine.gyro_noise * setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
-    values[rates, 0] = machine.gyro_scale * moving[rates, 2] + mean[GYRO_BIAS] + noise
+    values[rates, 0] = machine.gyro_scale * row_twists[rates, 2] + mean[GYRO_BIAS] + noise
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
     states = nearest_states(
-        at_rows, moving[:, ::2].copy(), true_speeds, drive.true_drives, prior, setting.linear
+        row_poses, row_twists[:, ::2].copy(), true_speeds, drive.true_drives, prior, setting.linear
     )
     slips = slips_of(states, drive.true_drives, setting.linear)
     slips[:, 2] = at.slip_angle
-    return Trial(_with_values(setting.rows, values), start, mean, spread, states, slips, machine)
+    return Trial(_with_values(setting.rows, values), start, mean, truth_covariance, states, slips, machine)
 
 
 def with_machine_noise(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple[Rows, ConfigRecord]:

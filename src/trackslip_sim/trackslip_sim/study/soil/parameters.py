@@ -41,13 +41,13 @@ class SoilCell:
     terrain: str = ""  # empty: the scenario's own
 
 
-def load_soil_study_parameters(given: dict[str, object]) -> SoilStudyParameters:
-    """The defaults of ``config/``, replaced by the ``given`` values.
+def load_soil_study_parameters(values: dict[str, object]) -> SoilStudyParameters:
+    """The defaults of ``config/``, replaced by ``values``.
 
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return load_parameters(SoilStudyParameters, NODE, ("study.yaml",), given)
+    return load_parameters(SoilStudyParameters, NODE, ("study.yaml",), values)
 
 
 def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:

@@ -76,12 +76,12 @@ def summary(cell: SoilCell, results: Sequence[Result]) -> AnyRow:
 
 def _soil_row(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
     values: dict[str, Any] = {**asdict(cell), "seeds": len(results)}
-    for name, of in (("F_max", "limit"), ("K", "modulus"), ("mu_r", "mu_r")):
-        ratios = [abs(getattr(r, of) - 1.0) for r in results]  # relative to the truth
+    for name, field in (("F_max", "limit"), ("K", "modulus"), ("mu_r", "mu_r")):
+        ratios = [abs(getattr(r, field) - 1.0) for r in results]  # relative to the truth
         values[f"{name}_error"], values[f"{name}_worst"] = _median_and_worst(ratios)
-        values[f"{name}_inside"] = _count_inside(getattr(r, f"{of}_interval") for r in results)
-    for name, of in (("M_r", "moment"), ("driving_thrust", "driving"), ("braking_thrust", "braking")):
-        errors = [getattr(r, f"{of}_error") for r in results]
+        values[f"{name}_inside"] = _count_inside(getattr(r, f"{field}_interval") for r in results)
+    for name, field in (("M_r", "moment"), ("driving_thrust", "driving"), ("braking_thrust", "braking")):
+        errors = [getattr(r, f"{field}_error") for r in results]
         values[f"{name}_error"], values[f"{name}_worst"] = _median_and_worst(errors)
     residue, worst = _median_and_worst(r.offset_residue for r in results)
     return SoilRow(
@@ -112,8 +112,8 @@ def _change_row(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
 
 def _median_and_worst(values: Iterable[float]) -> tuple[float, float]:
     """Median and maximum without nan; nan if all values are nan."""
-    there = np.array([value for value in values if not np.isnan(value)])
-    return (float(np.median(there)), float(there.max())) if there.size else (float("nan"), float("nan"))
+    defined = np.array([value for value in values if not np.isnan(value)])
+    return (float(np.median(defined)), float(defined.max())) if defined.size else (float("nan"), float("nan"))
 
 
 def _count_inside(intervals: Iterable[Interval]) -> int:

@@ -93,19 +93,19 @@ def run_trial(trial: Trial, setting: Setting | None = None) -> Result:
 
 def _strength_errors(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
     """Errors of the estimate at the end, against the soil under C."""
-    ground, found = soil(truth.soil_name()), last.strength
+    ground, strength = soil(truth.soil_name()), last.strength
     modulus, limit, mu_r = (
         ground.value("shear_modulus"),
         soil_thrust_limit(ground, vehicle),
         ground.value("mu_r"),
     )
     return {
-        "limit": found.thrust_limit / limit,
-        "limit_interval": _relative_interval(found.thrust_limit_interval, limit),
-        "modulus": found.shear_modulus / modulus,
-        "modulus_interval": _relative_interval(found.shear_modulus_interval, modulus),
-        "identifiable": found.identifiable,
-        "reason": found.reason,
+        "limit": strength.thrust_limit / limit,
+        "limit_interval": _relative_interval(strength.thrust_limit_interval, limit),
+        "modulus": strength.shear_modulus / modulus,
+        "modulus_interval": _relative_interval(strength.shear_modulus_interval, modulus),
+        "identifiable": strength.identifiable,
+        "reason": strength.reason,
         "probability": last.classes[ground.name],
         "mu_r": last.mu_r / mu_r,
         "mu_r_interval": _relative_interval(_interval_of(last.mu_r, last.mu_r_variance), mu_r),
@@ -133,12 +133,12 @@ def _thrust_errors(
     forces = [force for force, t in zip(forces, _times(forces), strict=True) if t > begin]
     at = truth.interpolate(_times(forces))
     true = np.column_stack((at.left_thrust, at.right_thrust))
-    found = np.array([force.thrust for force in forces]).reshape(true.shape)
+    estimated = np.array([force.thrust for force in forces]).reshape(true.shape)
     tracks = vehicle.rolling_radius * np.column_stack((at.left_speed, at.right_speed))
-    runs, drives = np.abs(tracks) > MIN_MOVING_SPEED, true * tracks > 0.0
+    is_moving, is_driven = np.abs(tracks) > MIN_MOVING_SPEED, true * tracks > 0.0
     return {
-        "driving_error": _relative_rms(found[runs & drives], true[runs & drives]),
-        "braking_error": _relative_rms(found[runs & ~drives], true[runs & ~drives]),
+        "driving_error": _relative_rms(estimated[is_moving & is_driven], true[is_moving & is_driven]),
+        "braking_error": _relative_rms(estimated[is_moving & ~is_driven], true[is_moving & ~is_driven]),
     }
 
 
@@ -160,12 +160,12 @@ def soil_change(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
     k = int(crossings[0])
     before, into, crossed = truth.soil_name(k), truth.soil_name(k + 1), float(truth.t[k + 1])
     timed = list(zip(_times(states).tolist(), states, strict=True))
-    certain = [t - crossed for t, state in timed if t > crossed and state.classes[into] > RECOGNISED]
-    known = [state.classes[before] for t, state in timed if t <= crossed]
+    delays = [t - crossed for t, state in timed if t > crossed and state.classes[into] > RECOGNISED]
+    right_before = [state.classes[before] for t, state in timed if t <= crossed]
     return {
         "into": into,
-        "recognised_after": certain[0] if certain else math.inf,
-        "wrong_before": 1.0 - known[-1],
+        "recognised_after": delays[0] if delays else math.inf,
+        "wrong_before": 1.0 - right_before[-1],
     }
 
 
@@ -186,8 +186,8 @@ def _times(published: Sequence[SoilState] | Sequence[TrackForces]) -> FloatArray
 
 
 def _interval_of(mean: float, variance: float) -> Interval:
-    spread = _NORMAL_QUANTILE * math.sqrt(variance)
-    return mean - spread, mean + spread
+    half_width = _NORMAL_QUANTILE * math.sqrt(variance)
+    return mean - half_width, mean + half_width
 
 
 def _relative_interval(interval: Interval, truth: float) -> Interval:
@@ -195,8 +195,8 @@ def _relative_interval(interval: Interval, truth: float) -> Interval:
     return low / truth, high / truth
 
 
-def _relative_rms(found: FloatArray, true: FloatArray) -> float:
+def _relative_rms(estimated: FloatArray, true: FloatArray) -> float:
     """RMS of the error over the RMS of the truth; nan of no values."""
     if not true.size:
         return _NAN
-    return float(np.sqrt(np.mean(np.square(found - true)) / np.mean(np.square(true))))
+    return float(np.sqrt(np.mean(np.square(estimated - true)) / np.mean(np.square(true))))

@@ -35,8 +35,8 @@ _GRID = (  # fields of a trial
 _SOIL_LEGEND = (
     "Errors over the truth, the median of the runs and, in brackets, the worst: F_max, K and μ_r at the end "
     "of `{scenario}`, M_r in steady turns and F, the thrust, as RMS over that of the truth. in: runs whose "
-    "interval from 5 to 95 % holds the truth, nine of ten if it is consistent. known: runs in which K and "
-    "F_max are identifiable. offset: what is left of a transducer's after standing."
+    "interval from 5 to 95 % contains the truth, nine of ten if it is consistent. known: runs in which K and "
+    "F_max are identifiable. offset: the error of a transducer's offset after the standstill."
 )
 _CHANGE_LEGEND = (
     "`{scenario}`: seconds from the border between two soils to a probability of more than {certain:.0%} for "
@@ -112,8 +112,8 @@ class SoilStudy(Study[Trial, Result]):
     )
     FILE: ClassVar[str] = "soil_table.md"
 
-    def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
-        p = load_soil_study_parameters(dict(given))
+    def __init__(self, parameters: Mapping[str, Any], settings: Sequence[str]) -> None:
+        p = load_soil_study_parameters(dict(parameters))
         slip, soil = (parse_settings(settings, node) for node in (SLIP_NODE, SOIL_NODE))
         setting = self._setting = load_setting(p, slip, soil)
         self.cells = {

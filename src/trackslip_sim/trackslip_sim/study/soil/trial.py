@@ -117,15 +117,15 @@ def estimator_outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutp
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
     samples = results[[isinstance(measurement, Sprockets) for measurement in readings.arrivals]]
-    given = np.repeat(
+    inputs = np.repeat(
         inputs_from_estimates(samples["estimate"]), 2
     )  # each reading, and its state if published
-    for record, reading in zip(given[::2], readings.pressures, strict=True):
+    for record, reading in zip(inputs[::2], readings.pressures, strict=True):
         reading.write_to(record)
-    is_there = np.ones(len(given), np.bool_)
-    is_there[1::2] = samples["published"]
-    for found in soil_estimator.advance_all(given[is_there]):
-        yield from found.in_order()
+    is_published = np.ones(len(inputs), np.bool_)
+    is_published[1::2] = samples["published"]
+    for outputs in soil_estimator.advance_all(inputs[is_published]):
+        yield from outputs.in_order()
 
 
 def draw_readings(trial: Trial, truth: Truth, setting: Setting) -> Readings:
@@ -141,17 +141,17 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
     arrivals: list[tuple[float, int, Measurement]] = []
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.sprocket_rate))
     angles = np.stack((at.left_angle, at.right_angle), axis=1)
-    zero = resolution * random.uniform(0.0, 1.0, 2)
-    counted = np.floor((angles + zero) / resolution) * resolution
+    phase = resolution * random.uniform(0.0, 1.0, 2)
+    counted = np.floor((angles + phase) / resolution) * resolution
     for t, (left, right), v_l, v_r in zip(at.t, counted.tolist(), at.left_speed, at.right_speed, strict=True):
         arrivals.append((t, 1, Sprockets("sprockets", _stamp_ns(t), float(v_l), float(v_r), (left, right))))
     at = truth.interpolate(np.arange(0.5 / p.gyro_rate, truth.duration, 1.0 / p.gyro_rate))
     rates = at.yaw_rate + noise.gyro_bias + noise.gyro_stddev * random.standard_normal(len(at))
-    tilting = tilt_readings(truth, at.t, noise, np.random.default_rng((trial.seed, 2)))
-    of_rate, of_force = noise.gyro_stddev**2, noise.acceleration_stddev**2
-    for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), tilting.tolist(), strict=True):
-        turning = rate, of_rate, (p_rate, q_rate), (of_rate, of_rate)
-        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp_ns(t), *turning, (f_x, f_y, f_z), of_force)))
+    tilts = tilt_readings(truth, at.t, noise, np.random.default_rng((trial.seed, 2)))
+    rate_variance, force_variance = noise.gyro_stddev**2, noise.acceleration_stddev**2
+    for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), tilts.tolist(), strict=True):
+        gyro = rate, rate_variance, (p_rate, q_rate), (rate_variance, rate_variance)
+        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp_ns(t), *gyro, (f_x, f_y, f_z), force_variance)))
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.fix_rate))
     deviations = np.array((trial.sigma_xy, trial.sigma_xy, p.sigma_heading))
     poses = np.stack((at.x, at.y, at.yaw), axis=1) + deviations * random.standard_normal((len(at), 3))
