@@ -220,23 +220,23 @@ def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]
 
 
 def test_processes_give_results_in_order_with_one_thread_each() -> None:
-    with open_workers(2, shared=100) as mapped:
-        assert list(mapped(square, range(5))) == [(100 + k * k, "1") for k in range(5)]
+    with open_workers(2, shared=100) as map_items:
+        assert list(map_items(square, range(5))) == [(100 + k * k, "1") for k in range(5)]
         with pytest.raises(InputError, match="item 2 is refused"):
-            list(mapped(refused, range(5)))
+            list(map_items(refused, range(5)))
 
 
 def test_killed_worker_is_reported_in_one_line() -> None:
-    with pytest.raises(InputError, match="a process was ended"), open_workers(2) as mapped:
-        list(mapped(end, range(2)))
+    with pytest.raises(InputError, match="a process was ended"), open_workers(2) as map_items:
+        list(map_items(end, range(2)))
 
 
 def test_an_interruption_ends_the_processes() -> None:
     previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), open_workers(2) as mapped:  # noqa: PT012
+        with pytest.raises(KeyboardInterrupt), open_workers(2) as map_items:  # noqa: PT012
             signal.setitimer(signal.ITIMER_REAL, 2.0)
-            next(mapped(wait, range(2)))
+            next(map_items(wait, range(2)))
     finally:
         signal.signal(signal.SIGALRM, previous)
     for process in multiprocessing.active_children():

@@ -37,9 +37,9 @@ SEGMENTS = [
 
 def measurements(drive: Callable[..., Any], seed: int = 0, sigma: float = 0.1) -> list[Measurement]:
     """Measurements with fixes whose stated covariance is far too small."""
-    found: list[Measurement] = drive(SEGMENTS, seed=seed, fix_sigma=(sigma, sigma, 0.02)).measurements
-    claimed = np.diag((1e-6, 1e-6, 4e-4))
-    return [replace(m, covariance=claimed) if isinstance(m, PoseFix) else m for m in found]
+    exact: list[Measurement] = drive(SEGMENTS, seed=seed, fix_sigma=(sigma, sigma, 0.02)).measurements
+    stated_covariance = np.diag((1e-6, 1e-6, 4e-4))
+    return [replace(m, covariance=stated_covariance) if isinstance(m, PoseFix) else m for m in exact]
 
 
 def task_of(drive: Callable[..., Any], seed: int = 0, **changes: Any) -> Task:
@@ -57,9 +57,9 @@ def records(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
 def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: ScoreJobs | None = None) -> Tuning:
     with (
         Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal,
-        open_workers(1, shared=tasks) as mapped,
+        open_workers(1, shared=tasks) as map_items,
     ):
-        work = work or partial(mapped, score_of)
+        work = work or partial(map_items, score_of)
         return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
 
 
@@ -79,8 +79,8 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     task = task_of(drive)
     values = {"sources.*.position_floor": 0.1, "noise.slip_moving": 0.02}
     estimator = SlipEstimator(change_parameters(task.p, values))
-    given = sorted(measurements(drive), key=lambda m: m.stamp_ns)
-    results = estimator.process_records(records(given, task.p))
+    in_order = sorted(measurements(drive), key=lambda m: m.stamp_ns)
+    results = estimator.process_records(records(in_order, task.p))
     estimates = results["estimate"][results["published"]]
     found = task.score(values)
     assert task.reference is not None
