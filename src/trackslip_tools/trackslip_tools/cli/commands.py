@@ -29,7 +29,7 @@ _COMMANDS = {
     ),
     "demo": Command(
         "trackslip_sim.demo.command",
-        "Simulate a drive, replay it, and open the report: the shortest way to see what comes out (no ROS).",
+        "Simulate a drive, replay it, and open the report: the shortest way to see results (no ROS).",
     ),
     "import": Command(
         "trackslip_tools.cli.import_command",
@@ -81,5 +81,5 @@ _COMMANDS = {
 
 def installed_commands() -> dict[str, Command]:
     """Name → command; those of the simulator only if it is installed."""
-    there = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
-    return {name: c for name, c in _COMMANDS.items() if c.module.partition(".")[0] in there}
+    present = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
+    return {name: c for name, c in _COMMANDS.items() if c.module.partition(".")[0] in present}

@@ -114,16 +114,16 @@ def _playback_bar(bag: Bag) -> Iterator[Callable[[Playback], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    reached = TextColumn("{task.completed:.1f} s of the bag")
-    columns = (TextColumn("{task.description}"), BarColumn(), reached, TimeRemainingColumn())
+    position = TextColumn("{task.completed:.1f} s of the bag")
+    columns = (TextColumn("{task.description}"), BarColumn(), position, TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("playing", total=bag.duration_s)
 
-        def show(playback: Playback) -> None:
+        def update(playback: Playback) -> None:
             reached = (playback.bag_ns - bag.start_ns) * 1e-9
             bar.update(task, completed=reached, description="paused " if playback.paused else "playing")
 
-        yield show
+        yield update
 
 
 class Keyboard:

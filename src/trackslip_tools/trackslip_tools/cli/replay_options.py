@@ -152,11 +152,11 @@ def _antenna_of(vehicle: str, carried: Mapping[str, Any]) -> dict[str, Any]:
     names = {f"sources.{GNSS_POSE}.lever_arm_{axis}": axis for axis in "xyz"}
     if sensors is None or sensors.antenna is None or not carried.keys() >= names.keys():
         return {}
-    found = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
-    if any(carried[name] != value for name, value in found.items()):
-        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (carried, found))
+    own = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
+    if any(carried[name] != value for name, value in own.items()):
+        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (carried, own))
         show(f"antenna: {now} m, as --vehicle has it; the bag was recorded with {before} m")
-    return found
+    return own
 
 
 def soil_parameters_of(
