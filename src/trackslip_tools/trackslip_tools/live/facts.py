@@ -50,5 +50,5 @@ def _angle_text(angle: float, interval: float) -> str:
 
 def _eigenvalues(covariance: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
-        found = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
-    return np.asarray(found)
+        eigenvalues = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
+    return np.asarray(eigenvalues)

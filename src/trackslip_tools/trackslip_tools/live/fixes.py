@@ -71,12 +71,12 @@ class Fixes:
 
 def timeouts_of(values: Mapping[str, Any]) -> dict[str, float]:
     """Pose source → timeout, s, from the slip estimator's parameters by dotted name."""
-    named = values.get("pose_sources")
-    found = {}
-    for source in named if isinstance(named, list) else ():
+    sources = values.get("pose_sources")
+    timeouts = {}
+    for source in sources if isinstance(sources, list) else ():
         with suppress(TypeError, ValueError):
-            found[str(source)] = float(values.get(f"sources.{group_name(str(source))}.timeout", math.inf))
-    return {source: timeout for source, timeout in found.items() if source and not math.isnan(timeout)}
+            timeouts[str(source)] = float(values.get(f"sources.{group_name(str(source))}.timeout", math.inf))
+    return {source: timeout for source, timeout in timeouts.items() if source and not math.isnan(timeout)}
 
 
 def timeouts_of_text(text: str, where: str) -> dict[str, float]:
