@@ -109,11 +109,11 @@ def _process(
     learned: list[LearnedValues] = []
     explained: list[CompetingExplanations] = []
     begin = 0
-    looks = np.flatnonzero(np.diff(rows["log_time_ns"] // _EXPLANATION_PERIOD_NS)) + 1
+    periods = np.flatnonzero(np.diff(rows["log_time_ns"] // _EXPLANATION_PERIOD_NS)) + 1
     pieces = {*range(_PIECE_SIZE, len(rows), _PIECE_SIZE), len(rows)}
-    for end in np.unique((*commands, *looks, *pieces)).tolist():
-        given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
-        results[begin:end] = estimator.process_records(given)
+    for end in np.unique((*commands, *periods, *pieces)).tolist():
+        measurements = to_measurements(rows[begin:end], stream.sources, estimator.sources)
+        results[begin:end] = estimator.process_records(measurements)
         begin = end
         if estimator.started and end > 0:
             explained.append(estimator.competing_explanations)
