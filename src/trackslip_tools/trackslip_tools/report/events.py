@@ -156,11 +156,11 @@ class LightLog:
         for light in lights:
             self._record_light(self._intervals.setdefault(light.name, []), light, now_s)
 
-    def _record_light(self, known: list[StateInterval], light: Light, now_s: float) -> None:
-        if known and known[-1].stop >= self._last_s:  # the name was present without interruption
-            last = known[-1] = known[-1]._replace(stop=now_s)
+    def _record_light(self, intervals: list[StateInterval], light: Light, now_s: float) -> None:
+        if intervals and intervals[-1].stop >= self._last_s:  # the name was present without interruption
+            last = intervals[-1] = intervals[-1]._replace(stop=now_s)
             is_same = last.state == light.level and is_same_text(last.text, light.message)
         else:
             is_same = False
         if not is_same:
-            known.append(StateInterval(now_s, now_s, int(light.level), light.message))
+            intervals.append(StateInterval(now_s, now_s, int(light.level), light.message))
