@@ -31,7 +31,7 @@ def without_blocks(text: str) -> str:
     return _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), text)
 
 
-def rewritten(text: str, contents: Mapping[str, str]) -> str:
+def rewrite_blocks(text: str, contents: Mapping[str, str]) -> str:
     """The text with new contents of the named blocks; other blocks are unchanged."""
 
     def one(found: re.Match[str]) -> str:

@@ -69,19 +69,19 @@ def _dig_rows(folder: Path) -> Iterator[dict[str, Any]]:
         options = f"--soil {soil} --seed {seed} --duration 1200 --output {bag}"
         trackslip(f"simulate --scenario dig_cycles {options}", folder)
         for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER)):
-            found = trackslip(f"replay {bag} {option}", folder)
-            yield {"drive": f"{spaced_name(soil)}, {seed}", "encoder": encoder, **found}
+            result = trackslip(f"replay {bag} {option}", folder)
+            yield {"drive": f"{spaced_name(soil)}, {seed}", "encoder": encoder, **result}
 
 
 def _study_rows(folder: Path) -> Iterator[dict[str, Any]]:
     options = "--scenario dig_cycles --vehicle pc05_cab --duration 260 --settling 60 --seeds 3"
     grid = f"--filter ekf --sigma-xy 0.01 0.05 --soil {' '.join(soil for soil, _ in _DRIVES)}"
-    found = [
+    rows = [
         {"encoder": encoder, **row}
         for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER))
         for row in trackslip(f"study --workers 1 {options} {grid} {option}", folder)
     ]
-    yield from sorted(found, key=lambda row: [soil for soil, _ in _DRIVES].index(row["soil"]))
+    yield from sorted(rows, key=lambda row: [soil for soil, _ in _DRIVES].index(row["soil"]))
 
 
 def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
@@ -114,9 +114,9 @@ def _bare() -> VehicleParameters:
 
 def _true_limit(soil: str) -> float:
     """F_max of one track on level ground, N, by (3.1)."""
-    found, vehicle = load_soils()[soil], load_vehicle("pc05_cab").whole()
+    properties, vehicle = load_soils()[soil], load_vehicle("pc05_cab").whole()
     area = 2.0 * vehicle.contact_length * vehicle.track_width
-    return float(thrust_limit(found.cohesion, found.friction_angle, area, vehicle.weight))
+    return float(thrust_limit(properties.cohesion, properties.friction_angle, area, vehicle.weight))
 
 
 def _limit(soil: dict[str, Any], true: float) -> str:
