@@ -46,8 +46,8 @@ def commands(
             printed = "".join(capsys.readouterr())
             assert code == 0 or line in ("trackslip", "trackslip check log_bag"), printed
             correct(tmp_path / "log_mapping.yaml", _GUESSED.findall(printed))
-            found = _SUGGESTED.search(" ".join(printed.split()) if "--help" in line else printed)
-            line = next(filter(None, found.groups())).strip() if found else ""
+            suggestion = _SUGGESTED.search(" ".join(printed.split()) if "--help" in line else printed)
+            line = next(filter(None, suggestion.groups())).strip() if suggestion else ""
             for theirs, mine in MINE.items():
                 line = line.replace(theirs, mine)
 

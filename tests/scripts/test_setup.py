@@ -73,13 +73,13 @@ def runs(pid: Path) -> bool:
 @pytest.mark.parametrize("in_the_block", [False, True])
 def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool) -> None:
     pid = tmp_path / "pid"
-    sleeps = Command(["sh", "-c", f"echo $$ > {pid}; exec sleep 600"])
-    fails = Command(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"])
+    sleeping = Command(["sh", "-c", f"echo $$ > {pid}; exec sleep 600"])
+    failing = Command(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"])
 
     def work() -> None:
-        with beside([sleeps] if in_the_block else [sleeps, fails]):
+        with beside([sleeping] if in_the_block else [sleeping, failing]):
             if in_the_block:
-                run(fails)
+                run(failing)
 
     with pytest.raises(SetupError):
         work()
@@ -223,8 +223,8 @@ def test_set_up_resumes_after_an_interruption_at_any_step(
         with pytest.raises(KeyboardInterrupt):
             setup_workspace.set_up("", checks=False)
     setup_workspace.set_up("", checks=False)
-    kept = {"half"} if step == "build_workspace" else set()  # .venv is complete
-    assert {path.name for path in checkout.iterdir()} == {"made", "trackslip.json"} | kept
+    remaining = {"half"} if step == "build_workspace" else set()  # .venv is complete
+    assert {path.name for path in checkout.iterdir()} == {"made", "trackslip.json"} | remaining
     assert read_stamp(checkout / "trackslip.json")["digest"]
 
 

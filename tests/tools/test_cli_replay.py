@@ -29,9 +29,9 @@ KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_tim
 
 def without_time(found: dict[str, Any]) -> dict[str, Any]:
     """A summary without its duration; means are rounded, as their last digit depends on the batches."""
-    kept = {name: value for name, value in found.items() if name != "real_time_factor"}
-    kept["rmse"] = {name: value and round(value, 9) for name, value in kept["rmse"].items()}
-    return kept | {name: round(kept[name], 9) for name in ("nees", "nees_position") if kept.get(name)}
+    rest = {name: value for name, value in found.items() if name != "real_time_factor"}
+    rest["rmse"] = {name: value and round(value, 9) for name, value in rest["rmse"].items()}
+    return rest | {name: round(rest[name], 9) for name in ("nees", "nees_position") if rest.get(name)}
 
 
 def test_the_summary_has_the_keys_of_the_contract(bag: Path, summary: Summary) -> None:

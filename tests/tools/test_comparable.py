@@ -36,19 +36,19 @@ def live(
     lines: list[Line], p: SlipEstimatorParameters, learned: Learned | None = None
 ) -> tuple[list[Line], SlipEstimator]:
     """The messages of an estimator that receives the lines without delay."""
-    estimator, local, found = SlipEstimator(p, learned=learned), LocalOdometry(), []
-    given = sorted(lines, key=lambda line: line.log_ns)
-    started = {} if learned is None else {"learned": to_tree(learned, estimator.learned_context)}
-    text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **started))
-    found.append(Line(given[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
-    for sequence, line in enumerate(given):
+    estimator, local, messages = SlipEstimator(p, learned=learned), LocalOdometry(), []
+    in_order = sorted(lines, key=lambda line: line.log_ns)
+    learned_section = {} if learned is None else {"learned": to_tree(learned, estimator.learned_context)}
+    text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **learned_section))
+    messages.append(Line(in_order[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
+    for sequence, line in enumerate(in_order):
         report, estimate = estimator.process(measurement(line, p))
         outputs = [] if estimate is None else [(t, estimate) for t in (ODOMETRY, TRACK_SLIP)]
         outputs += [] if estimate is None else [(LOCAL_ODOMETRY, local.estimate_in_odom(estimate))]
-        messages = [(topic, message_of(topic, of, p)) for topic, of in outputs]
-        messages.append((REPORTS, conversions.measurement_report(make, report, sequence)))
-        found += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in messages]
-    return found, estimator
+        of_line = [(topic, message_of(topic, of, p)) for topic, of in outputs]
+        of_line.append((REPORTS, conversions.measurement_report(make, report, sequence)))
+        messages += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in of_line]
+    return messages, estimator
 
 
 def measurement(line: Line, p: SlipEstimatorParameters) -> Any:

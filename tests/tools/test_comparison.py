@@ -34,8 +34,10 @@ def odometry(stamps: Any, **changes: Any) -> Rows:
 
 def compared(live: Rows, replayed: Rows, pieces: int = 1, **counts: Any) -> LiveComparison:
     comparer = LiveComparer()
-    for one, other in zip(np.array_split(live, pieces), np.array_split(replayed, pieces), strict=True):
-        comparer.add(ODOMETRY, one, other)
+    for live_part, replayed_part in zip(
+        np.array_split(live, pieces), np.array_split(replayed, pieces), strict=True
+    ):
+        comparer.add(ODOMETRY, live_part, replayed_part)
     return comparer.result(JournalCounts(**counts))
 
 

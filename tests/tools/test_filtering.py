@@ -22,8 +22,8 @@ def fixes(count: int, period_ms: float, source: str = "box_pose", latency_ms: in
     """Fixes at the origin, stamped ``latency_ms`` before their log times."""
     covariance = np.array(((4.0, 1.0, 0.5), (1.0, 4.0, 0.5), (0.5, 0.5, 1.0)))
     times_ns = [ORIGIN_NS + round(k * period_ms * MS) for k in range(count)]
-    given = [(t, PoseFix(source, t - latency_ms * MS, np.zeros(3), covariance)) for t in times_ns]
-    return rows_of(given, SOURCES)
+    arrivals = [(t, PoseFix(source, t - latency_ms * MS, np.zeros(3), covariance)) for t in times_ns]
+    return rows_of(arrivals, SOURCES)
 
 
 def apply(filters: InputFilters, arrivals: Rows) -> Rows:

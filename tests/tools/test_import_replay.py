@@ -193,7 +193,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("reason", REFUSED)
 def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) -> None:
-    given, invalid = REFUSED[reason]
+    input_counts, invalid = REFUSED[reason]
     rejected = Tally()
     for source, count in invalid.items():
         rejected.add(source, Outcome.INVALID, count)
@@ -201,7 +201,9 @@ def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) 
     p = load_slip_parameters({"pose_sources": ["mocap_pose"]})
     with open_bag(bag) as opened:
         assert (
-            explain_missing_estimate(opened, p, InputFilters(), ProcessingCounts(Counter(given), rejected))
+            explain_missing_estimate(
+                opened, p, InputFilters(), ProcessingCounts(Counter(input_counts), rejected)
+            )
             == reason
         )
 

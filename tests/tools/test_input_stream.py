@@ -109,14 +109,14 @@ def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -
 def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
     """Measurements are processed up to 0.3 s after their log times, with a reset between; one never is."""
     with open_bag(emulated_bag) as bag:
-        given = read_inputs(bag, P, InputFilters(), ())
+        inputs = read_inputs(bag, P, InputFilters(), ())
     rng = np.random.default_rng(5)
-    late_ns = (rng.random(len(given.rows)) * 3e8).astype(np.int64)
-    order = np.argsort(given.rows["log_time_ns"] + late_ns, kind="stable")
-    times_ns = (given.rows["log_time_ns"] + late_ns)[order]
-    live = given.rows[order]
+    late_ns = (rng.random(len(inputs.rows)) * 3e8).astype(np.int64)
+    order = np.argsort(inputs.rows["log_time_ns"] + late_ns, kind="stable")
+    times_ns = (inputs.rows["log_time_ns"] + late_ns)[order]
+    live = inputs.rows[order]
     lines = [
-        (int(t), Report(given.sources[row["source"]], int(row["stamp_ns"]), Outcome.ACCEPTED))
+        (int(t), Report(inputs.sources[row["source"]], int(row["stamp_ns"]), Outcome.ACCEPTED))
         for t, row in zip(times_ns, live, strict=True)
     ]
     lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))

@@ -45,9 +45,9 @@ def second_run(
 
     def make_bag(learned: object = learned_tree) -> Path:
         text = parameters_text(to_flat(load_slip_parameters()), NODE, learned=learned)
-        stated = lines[0].instead(PARAMETERS_TOPIC, make(PARAMETERS_TYPE, data=text))
+        parameters = lines[0].instead(PARAMETERS_TOPIC, make(PARAMETERS_TYPE, data=text))
         first_ns = min(line.log_ns for line in lines)
-        return bag_of([stated._replace(log_ns=first_ns - 1), *lines])
+        return bag_of([parameters._replace(log_ns=first_ns - 1), *lines])
 
     return make_bag
 

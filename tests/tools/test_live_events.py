@@ -62,7 +62,7 @@ def test_a_node_that_falls_silent_and_comes_back() -> None:
     assert reported(events) == ["sick_pls: silent", "sick_pls: running"]
 
 
-def test_part_no_longer_reported_is_well_again() -> None:
+def test_part_no_longer_reported_has_recovered() -> None:
     events = Events()
     events.add_light_changes([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
     events.add_light_changes([], 1.0, 0.0)

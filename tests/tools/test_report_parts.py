@@ -35,11 +35,11 @@ def test_gap_in_a_curve_is_kept() -> None:
     values = np.sin(np.arange(5000.0))
     values[2000:2300] = np.nan
     kept = extreme_indices([values], 200)
-    broken = np.isnan(values[kept])
-    assert broken.any()
-    assert (np.diff(np.flatnonzero(broken)) == 1).all()  # one gap between two sections
-    assert not broken[0]
-    assert not broken[-1]
+    is_missing = np.isnan(values[kept])
+    assert is_missing.any()
+    assert (np.diff(np.flatnonzero(is_missing)) == 1).all()  # one gap between two sections
+    assert not is_missing[0]
+    assert not is_missing[-1]
 
 
 @given(

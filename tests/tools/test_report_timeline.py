@@ -62,19 +62,21 @@ def test_the_largest_slip_is_one_that_is_known(emulated_run: Run) -> None:
     assert emulated_run.states is not None
     states = emulated_run.states
     k = len(states.slips) // 2
-    held = slice(k, k + 200)  # 2 s
-    wild = states.slips.copy()
-    wild[held, 0] = -3.0
-    unsure = states.slip_covariances.copy()
-    unsure[held, 0, 0] = 1.0
+    span = slice(k, k + 200)  # 2 s
+    large_slips = states.slips.copy()
+    large_slips[span, 0] = -3.0
+    large_covariances = states.slip_covariances.copy()
+    large_covariances[span, 0, 0] = 1.0
     changed = dataclasses.replace(emulated_run)
     spike = states.slips.copy()
     spike[k, 0] = -3.0
     changed.__dict__["states"] = dataclasses.replace(states, slips=spike)
     assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
-    changed.__dict__["states"] = dataclasses.replace(states, slips=wild, slip_covariances=unsure)
+    changed.__dict__["states"] = dataclasses.replace(
+        states, slips=large_slips, slip_covariances=large_covariances
+    )
     assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
-    changed.__dict__["states"] = dataclasses.replace(states, slips=wild)
+    changed.__dict__["states"] = dataclasses.replace(states, slips=large_slips)
     assert facts(changed)["Largest slip"].value == "-300 %"
 
 
@@ -150,7 +152,7 @@ def test_fixes_at_1_hz_are_not_lost_between_two_of_them(
     assert verdicts(run, load_limits())["Gaps"].state is State.OK
 
 
-def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run) -> None:
+def test_competing_explanations_and_accepted_events_are_reported(emulated_run: Run) -> None:
     """A replay provides both; the bag may lack /diagnostics."""
     zero_ns = emulated_run.recording.zero_ns
     off = Explanation("box_pose is 1.0 m off", 0.9, zero_ns)
@@ -183,7 +185,7 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
 # Lights
 
 
-def test_spells_are_contiguous_up_to_the_end() -> None:
+def test_state_intervals_are_contiguous_up_to_the_end() -> None:
     found = state_intervals(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
     assert found == [StateInterval(0.0, 2.0, 1), StateInterval(2.0, 5.0, 2), StateInterval(5.0, 5.0, 1)]
     assert total_duration(found, 1) == 2.0

@@ -43,15 +43,15 @@ def estimates(*of: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
     return found
 
 
-def mean_nees(own: Rows, reference: Path) -> float | None:
-    return errors_against(own, reference).nees
+def mean_nees(estimated: Rows, reference: Path) -> float | None:
+    return errors_against(estimated, reference).nees
 
 
-def errors_against(own: Rows, reference: Path, R: np.ndarray | None = None) -> PathErrors:
+def errors_against(estimated: Rows, reference: Path, R: np.ndarray | None = None) -> PathErrors:
     x, y, heading = reference.poses.T
     errors, columns = PathErrors(), {} if R is None else {"covariance": R}
     rows = series_of(stamp_ns=reference.stamps_ns, x=x, y=y, heading=heading, **columns).rows
-    errors.add_estimates(own, rows)
+    errors.add_estimates(estimated, rows)
     return errors
 
 
@@ -161,9 +161,9 @@ def test_slips_are_scored_only_where_a_track_moves() -> None:
     v_x, rates = zip(*twists, strict=True)
     odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
     true = slips(stamps(*times, 500), np.arange(6.0) / 100.0, np.arange(6.0) / 50.0)
-    kept = moving_slips(odometry, true, 0.73)
-    np.testing.assert_array_equal(kept.stamps_ns, stamps(200, 300, 400))
-    np.testing.assert_array_equal(kept.rows, true.rows[2:5])
+    moving = moving_slips(odometry, true, 0.73)
+    np.testing.assert_array_equal(moving.stamps_ns, stamps(200, 300, 400))
+    np.testing.assert_array_equal(moving.rows, true.rows[2:5])
 
 
 def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
@@ -173,12 +173,12 @@ def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
     left, right = (1.0 - ground / speeds).T
     v_x, rates = ground.mean(axis=1), np.diff(ground)[:, 0] / 0.73
     odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
-    kept = moving_slips(odometry, slips(stamps(*times), left, right), 0.73)
-    np.testing.assert_array_equal(kept.stamps_ns, stamps(0, 200))
-    np.testing.assert_array_equal(kept["left_slip"], (np.nan, left[2]))
-    np.testing.assert_array_equal(kept["right_slip"], right[[0, 2]])
+    moving = moving_slips(odometry, slips(stamps(*times), left, right), 0.73)
+    np.testing.assert_array_equal(moving.stamps_ns, stamps(0, 200))
+    np.testing.assert_array_equal(moving["left_slip"], (np.nan, left[2]))
+    np.testing.assert_array_equal(moving["right_slip"], right[[0, 2]])
     own = slips(stamps(0, 200), (0.0, left[2] + 0.03), (right[0] + 0.03, right[2]))
-    np.testing.assert_allclose(slip_errors(own, kept), (0.03, 0.03, 0.0), atol=1e-12)
+    np.testing.assert_allclose(slip_errors(own, moving), (0.03, 0.03, 0.0), atol=1e-12)
 
 
 # Covariance of the reference

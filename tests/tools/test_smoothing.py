@@ -57,7 +57,7 @@ def errors(estimates: Rows, log: Any, start_ns: int = 0, stop_ns: int = 2**62) -
     return float(position), float(heading)
 
 
-def rough(found: list[Measurement], seed: int) -> list[Measurement]:
+def sparse_noisy_fixes(found: list[Measurement], seed: int) -> list[Measurement]:
     """The measurements with every fourth fix, at 5 cm noise."""
     rng = np.random.default_rng(seed)
     fixes = [m for m in found if isinstance(m, PoseFix)][::4]
@@ -70,7 +70,7 @@ def rough(found: list[Measurement], seed: int) -> list[Measurement]:
 
 def test_smoother_is_better_than_the_filter_and_much_better_in_an_outage(log: Any) -> None:
     found = without(log.measurements, PoseFix, *OUTAGE)
-    runs = [smoothed_of(rough(found, seed)) for seed in range(4)]
+    runs = [smoothed_of(sparse_noisy_fixes(found, seed)) for seed in range(4)]
     for span, gain in (((0, 2**62), 0.8), (OUTAGE, 0.7)):
         filtered = np.mean([errors(run.filtered, log, *span) for run in runs], axis=0)
         smoothed = np.mean([errors(run.smoothed, log, *span) for run in runs], axis=0)
@@ -80,13 +80,13 @@ def test_smoother_is_better_than_the_filter_and_much_better_in_an_outage(log: An
 def test_smoothed_covariance_is_consistent_and_below_the_filtered_one(log: Any, outage: Smoothed) -> None:
     """Within 1e-4: yaw rates have the gain of a Schmidt filter, which does not minimise the variance."""
     filtered, smoothed = (estimates["pose_covariance"] for estimates in outage)
-    gained = np.linalg.eigvalsh(filtered - smoothed)[:, 0] / np.trace(filtered, axis1=1, axis2=2)
-    assert gained.min() > -1e-4
+    reduction = np.linalg.eigvalsh(filtered - smoothed)[:, 0] / np.trace(filtered, axis1=1, axis2=2)
+    assert reduction.min() > -1e-4
     found = outage.smoothed
     error = found["pose"] - log.true_pose(found["stamp_ns"])
     error[:, 2] = np.angle(np.exp(1j * error[:, 2]))
-    weighed = (error * np.linalg.solve(found["pose_covariance"], error[..., np.newaxis])[..., 0]).sum(axis=1)
-    assert np.mean(weighed) < 6.0, "3 if consistent; one drive's errors are few and go together"
+    nees = (error * np.linalg.solve(found["pose_covariance"], error[..., np.newaxis])[..., 0]).sum(axis=1)
+    assert np.mean(nees) < 6.0, "3 if consistent; one drive's errors are few and go together"
 
 
 def test_smoother_ends_in_the_state_of_the_filter_for_any_order_of_arrival(
@@ -106,13 +106,13 @@ def test_smoother_ends_in_the_state_of_the_filter_for_any_order_of_arrival(
 def test_set_pose_does_not_change_the_path_before_it(log: Any) -> None:
     at_ns = 25 * S + 1
     moved = log.true_pose(at_ns) + np.array((3.0, 0.0, 0.0))
-    word = PoseFix(SET_POSE, at_ns, moved, np.diag((1e-4, 1e-4, 1e-4)))
+    manual_pose = PoseFix(SET_POSE, at_ns, moved, np.diag((1e-4, 1e-4, 1e-4)))
     fixes = without(log.measurements, PoseFix, at_ns, 2**62)
-    reported = smoothed_of([*fixes, word]).smoothed
-    plain = smoothed_of([m for m in fixes if m.stamp_ns < at_ns]).smoothed
-    before = reported["pose"][reported["stamp_ns"] < at_ns]
-    assert np.abs(before - plain["pose"][: len(before)]).max() < 1e-6
-    assert abs(reported["pose"][-1, 0] - log.true_pose(reported["stamp_ns"][-1])[0]) > 1.0
+    with_manual_pose = smoothed_of([*fixes, manual_pose]).smoothed
+    without_manual_pose = smoothed_of([m for m in fixes if m.stamp_ns < at_ns]).smoothed
+    before = with_manual_pose["pose"][with_manual_pose["stamp_ns"] < at_ns]
+    assert np.abs(before - without_manual_pose["pose"][: len(before)]).max() < 1e-6
+    assert abs(with_manual_pose["pose"][-1, 0] - log.true_pose(with_manual_pose["stamp_ns"][-1])[0]) > 1.0
 
 
 def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:

@@ -53,10 +53,10 @@ def test_machine_with_a_box_keeps_the_laser() -> None:
 def test_guesses_from_the_mass_cover_machines_that_are_known(name: str) -> None:
     vehicle = load_vehicle(name)
     assert vehicle.mass is not None
-    made = draft_vehicle("guessed", {"mass.mass": vehicle.mass.mass})
+    draft = draft_vehicle("guessed", {"mass.mass": vehicle.mass.mass})
     for number in ("rolling_radius", "tread", "contact_length"):
-        share = made.guessed[f"kinematics.{number}"]
-        ratio = getattr(made.vehicle.kinematics, number) / getattr(vehicle.kinematics, number)
+        share = draft.guessed[f"kinematics.{number}"]
+        ratio = getattr(draft.vehicle.kinematics, number) / getattr(vehicle.kinematics, number)
         assert abs(math.log(ratio)) < 1.5 * share
 
 
