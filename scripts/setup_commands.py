@@ -116,12 +116,12 @@ class Job:
 
 def run(command: Command) -> None:
     """Run one command to its end or to an interrupt; raises as ``Job.is_running``."""
-    with beside([command]):
+    with in_parallel([command]):
         pass
 
 
 @contextmanager
-def beside(commands: list[Command]) -> Iterator[None]:
+def in_parallel(commands: list[Command]) -> Iterator[None]:
     """Run commands in parallel to the block and wait for them after it; after a failure, end all."""
     jobs: list[Job] = []
     try:

@@ -26,7 +26,7 @@ from setup_commands import (
     Command,
     SetupError,
     Step,
-    beside,
+    in_parallel,
     note_interrupts,
     read_stamp,
     run,
@@ -92,7 +92,7 @@ def set_up(requested: str, checks: bool) -> None:
     workspace_digest = digest_of_workspace(venv_digest)
     if read_stamp(WORKSPACE_STAMP).get("digest") != workspace_digest:
         WORKSPACE_STAMP.unlink(missing_ok=True)
-        with Step("kernels compiled in parallel"), beside(kernel_compilation()):
+        with Step("kernels compiled in parallel"), in_parallel(kernel_compilation()):
             if venv_outdated:
                 install_ros(ros)
                 write_stamp(VENV_STAMP, venv_digest, ros)

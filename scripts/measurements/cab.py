@@ -40,7 +40,7 @@ _STUDY = {
 }
 _TURNED = {
     "soil": lambda row: spaced_name(row["soil"]),
-    "cab": lambda row: row["looks"],
+    "cab": lambda row: row["direction"],
     "F_max known N": lambda row: _limit(row["known"], row["true"]),
     "F_max unknown N": lambda row: _limit(row["unknown"], row["true"]),
     "true": lambda row: f"{row['true']:.0f}",
@@ -89,15 +89,15 @@ def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
     bare.write_text(vehicle_text(_bare()), encoding="utf-8")
     vehicles = {"known": "pc05_cab", "unknown": str(bare)}
     for soil in ("sand", "dry_clay"):
-        for looks, angle in _ANGLES.items():
+        for direction, angle in _ANGLES.items():
             tree = dict(read_yaml(config_file("scenarios/field_trial.yaml")))
             swing = {"duration": _SWING_TIME, "left": 0.0, "right": 0.0, "swing_to": angle}
             scenario = write_yaml(
-                folder / f"{soil}_{looks}.yaml", {**tree, "segments": [swing, *tree["segments"]]}
+                folder / f"{soil}_{direction}.yaml", {**tree, "segments": [swing, *tree["segments"]]}
             )
-            row: dict[str, Any] = {"soil": soil, "looks": looks, "true": _true_limit(soil)}
+            row: dict[str, Any] = {"soil": soil, "direction": direction, "true": _true_limit(soil)}
             for name, vehicle in vehicles.items():
-                bag = f"{{}}/{soil}_{looks}_{name}"
+                bag = f"{{}}/{soil}_{direction}_{name}"
                 machine = f"--soil {soil} --vehicle {vehicle} --output {bag}"
                 trackslip(f"simulate --scenario {scenario} {machine}", folder)
                 # The check reports the antenna of an unknown cab as misplaced, correctly.

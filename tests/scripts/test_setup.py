@@ -16,7 +16,7 @@ from fixtures.patience import PATIENCE, wait_for
 import setup_commands
 import setup_environment
 import setup_workspace
-from setup_commands import Command, SetupError, beside, read_stamp, run, write_file
+from setup_commands import Command, SetupError, in_parallel, read_stamp, run, write_file
 
 
 @pytest.fixture(autouse=True)
@@ -77,7 +77,7 @@ def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool)
     failing = Command(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"])
 
     def work() -> None:
-        with beside([sleeping] if in_the_block else [sleeping, failing]):
+        with in_parallel([sleeping] if in_the_block else [sleeping, failing]):
             if in_the_block:
                 run(failing)
 
@@ -87,7 +87,7 @@ def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool)
 
 
 def test_block_waits_for_its_parallel_commands(tmp_path: Path) -> None:
-    with beside([Command(["sh", "-c", f"sleep 0.2; touch {tmp_path / name}"]) for name in "ab"]):
+    with in_parallel([Command(["sh", "-c", f"sleep 0.2; touch {tmp_path / name}"]) for name in "ab"]):
         (tmp_path / "c").touch()
     assert {path.name for path in tmp_path.iterdir()} >= {"a", "b", "c"}
 
