@@ -80,7 +80,6 @@ def recorded(drive: Drive, seed: int) -> Recording:
     pressures = 2.0e6 * speeds + drive.offsets + rng.normal(0.0, 3e4, speeds.shape)
     sprockets = Series(t, angles)
     return Recording(
-        f"drive {seed}",
         sprockets,
         Series(gyro_t, rates + rng.normal(0.0, drive.gyro_noise, rates.shape)),
         Series(fix_t, np.column_stack((poses, variances))),

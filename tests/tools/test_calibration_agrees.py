@@ -72,7 +72,6 @@ def recorded(machine: Machine) -> Recording:
     variances = np.tile(np.square(FIX_NOISE), (len(fix_times), 1))
     sprockets = Series(t, np.round(angles / P.encoder_resolution) * P.encoder_resolution)
     return Recording(
-        machine.soil,
         sprockets,
         Series(gyro_times, rates),
         Series(fix_times, np.column_stack((poses, variances))),

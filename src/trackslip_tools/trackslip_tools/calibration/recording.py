@@ -91,7 +91,6 @@ class Series(NamedTuple):
 class Recording:
     """One drive; series without messages in the bag are empty."""
 
-    name: str
     sprockets: Series  # left, right: rad, continuous
     gyro: Series  # about x, y, z of the unit: rad/s, uncorrected
     poses: Series  # x m, y m, heading rad (continuous); their variances
@@ -152,9 +151,7 @@ def read_recording(
     pose_series.values[:, 2] = np.unwrap(pose_series.values[:, 2])
     headings.values[:, 0] = np.unwrap(headings.values[:, 0])
     motion, compass_series = motion_states(sprockets, limits), headings if len(headings.t) else None
-    return Recording(
-        bag.path.name, sprockets, rates, pose_series, hydraulics, motion, compass_series, left_out
-    )
+    return Recording(sprockets, rates, pose_series, hydraulics, motion, compass_series, left_out)
 
 
 def _compass_request(bag: Bag, topic: str, source: HeadingSource) -> _Request:

@@ -24,10 +24,8 @@ from trackslip_tools.report.panel import (
     drawn_states,
     sigma_band,
 )
-from trackslip_tools.report.quantities import QUANTITIES, Quantity
+from trackslip_tools.report.quantities import DEGREES, QUANTITIES, Quantity
 from trackslip_tools.report.run import Run, States, first_runs_of_bags
-
-_DEGREES = 180.0 / np.pi
 
 
 def error_panels(runs: Sequence[Run]) -> list[Panel]:
@@ -43,11 +41,11 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
         bounds = 100.0 * SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
         band = (np.zeros_like(distances), bounds)
         distance.append(Curve(label, colour, errors.times, distances, drawn.form, band))
-        heading_errors = _DEGREES * errors.values[:, 2]
+        heading_errors = DEGREES * errors.values[:, 2]
         if not np.isfinite(heading_errors).any():  # a reference without headings
             continue
         known_variances = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
-        band = sigma_band(np.zeros_like(heading_errors), _DEGREES * np.sqrt(known_variances))
+        band = sigma_band(np.zeros_like(heading_errors), DEGREES * np.sqrt(known_variances))
         heading.append(Curve(label, colour, errors.times, heading_errors, drawn.form, band))
     if not distance:
         return []
