@@ -161,7 +161,7 @@ def test_competing_explanations_and_accepted_events_are_reported(emulated_run: R
     details.sources = emulated_run.details.sources
     for at_s in range(10, 31):
         found = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
-        details.add_explained([CompetingExplanations(zero_ns + at_s * SECOND_NS, found)])
+        details.add_explanations([CompetingExplanations(zero_ns + at_s * SECOND_NS, found)])
     events = [
         AcceptedEvent(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
         AcceptedEvent(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),

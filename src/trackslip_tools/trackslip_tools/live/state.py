@@ -130,7 +130,7 @@ class LiveState:
             frame["row"] = replace_nonfinite(self._strips.add(time_ms, self._now.columns(now_s)))
             frame |= self._new_positions(now_s)
             frame["events"] = [
-                _event_row(event) for event in self._events.kept if event.number > self._reported
+                _event_row(event) for event in self._events.recent if event.number > self._reported
             ]
             self._reported = self._events.count
             if now_s - self._viewed_s >= _VIEW_PERIOD_S:
@@ -164,8 +164,8 @@ class LiveState:
                 "rows": replace_nonfinite(values),
                 "views": replace_nonfinite(self._views),
                 "trail": list(self._trail.points),
-                "fixes": list(self._fixes.kept),
-                "events": [_event_row(event) for event in self._events.kept],
+                "fixes": list(self._fixes.shown),
+                "events": [_event_row(event) for event in self._events.recent],
             }
             return self._frame | history
 
@@ -221,8 +221,8 @@ class LiveState:
             new["path"] = self._trail.points[-1]
             if self._trail.thinning_count != thinned:
                 new["trail"] = list(self._trail.points)
-        if news := self._fixes.pop_new_fixes():
-            new["new_fixes"] = news
+        if new_fixes := self._fixes.pop_new_fixes():
+            new["new_fixes"] = new_fixes
         return new
 
 

@@ -46,14 +46,13 @@ class Details:
         self._estimates = GrowingRows(ESTIMATE, MOST_DRAWN)
         self._reports, self._fixes = GrowingRows(REPORT), GrowingRows(FIX)
         self._recent = np.empty(0, ESTIMATE)
-        self.explained: list[
-            CompetingExplanations
-        ] = []  # competing explanations at a time, and the first without after them
+        # Records with competing explanations, and after each series of them the first without.
+        self.explanations: list[CompetingExplanations] = []
 
     def add(self, part: Part) -> None:
         """Add a part."""
         self.sources = part.sources
-        self.add_explained(part.explained)
+        self.add_explanations(part.explanations)
         results = part.results
         rows = np.zeros(len(results), FIX)
         for name in ("stamp_ns", "outcome", "dof", "nis", "gate"):
@@ -75,11 +74,11 @@ class Details:
             oldest_ns = recent["stamp_ns"][-1] - _RECENT_NS
             self._recent = recent[np.searchsorted(recent["stamp_ns"], oldest_ns) :]
 
-    def add_explained(self, explained: Iterable[CompetingExplanations]) -> None:
+    def add_explanations(self, explanations: Iterable[CompetingExplanations]) -> None:
         """Add explanations."""
-        for competing in explained:
-            if competing.number_competing or (self.explained and self.explained[-1].number_competing):
-                self.explained.append(competing)
+        for competing in explanations:
+            if competing.number_competing or (self.explanations and self.explanations[-1].number_competing):
+                self.explanations.append(competing)
 
     @property
     def estimates(self) -> Rows:

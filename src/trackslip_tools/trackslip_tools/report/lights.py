@@ -102,8 +102,8 @@ class Lights:
 
     def pop_new_values(self) -> list[Mapping[str, str]]:
         """Values of the statuses received since the last call."""
-        news, self._new_values = list(self._new_values.values()), {}
-        return news
+        new_values, self._new_values = list(self._new_values.values()), {}
+        return new_values
 
     def lights_at(self, now_s: float) -> list[Light]:
         """All lights, sorted by name."""

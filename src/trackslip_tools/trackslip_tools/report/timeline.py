@@ -105,7 +105,7 @@ def explanation_intervals(run: Run) -> list[StateInterval]:
     """Intervals with one explanation or several competing ones, with their texts."""
     intervals: list[StateInterval] = []
     group: list[CompetingExplanations] = []
-    for competing in run.details.explained:
+    for competing in run.details.explanations:
         if group and _explanation_state(competing) != _explanation_state(group[0]):
             intervals += _explanation_interval(run, group, competing.stamp_ns)
             group = []
@@ -298,4 +298,4 @@ def _soil_events(run: Run) -> list[Event]:
     for k, at_s in enumerate(numbers.times.tolist()):
         classes = {name: float(p[k]) for name, p in numbers.classes.items() if np.isfinite(p[k])}
         events.add_soil_change(classes, at_s, 1e3 * at_s)
-    return list(events.kept)
+    return list(events.recent)
