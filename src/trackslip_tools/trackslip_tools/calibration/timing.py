@@ -50,11 +50,11 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
         return empty_finding("the drive is too short", "s")
     if unexplained > _LARGEST_UNEXPLAINED:
         return empty_finding(
-            f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of it is left over", "s"
+            f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of its variance is unexplained", "s"
         )
     spread = fit.half_width(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
     return make_finding(
-        delay - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} left over"
+        delay - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} unexplained"
     )
 
 

@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
                 recordings.append(read_recording(bag, gyro, poses, p.motion, compass, advance_bag))
                 setups.append(check_bag(bag, p))
             for topic, count in recordings[-1].left_out.items():
-                why = "no numbers of a machine, or stamped by another clock"
+                why = "values out of range, or stamps of another clock"
                 show(f"note: {path}: {count} messages of {topic} are left out: {why}", file=sys.stderr)
     with progress_bar(None, "calibrating"):
         result = calibrate(

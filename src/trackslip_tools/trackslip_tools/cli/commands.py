@@ -65,7 +65,7 @@ _COMMANDS = {
     ),
     "study": Command(
         "trackslip_sim.study.cli",
-        "Estimate many simulated drives, and hold the errors against the least possible, or against the "
+        "Estimate many simulated drives, and compare the errors with the least possible, or with the "
         "errors that the estimator expects (config/study.yaml).",
     ),
     "tune": Command(
@@ -74,7 +74,7 @@ _COMMANDS = {
     ),
     "vehicle": Command(
         "trackslip_tools.cli.vehicle_command",
-        "Write the file of a new machine from what is known of it; list those that are there.",
+        "Write the file of a new machine from what is known of it; list the existing ones.",
     ),
 }
 

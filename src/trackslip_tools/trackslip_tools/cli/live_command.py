@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--origin",
         metavar="HOST[:PORT]",
         action="append",
-        help="what browsers may ask for, beside the address itself",
+        help="host that browsers may request, besides the address itself",
     )
     shared_options.add_namespace(parser)
     of_bag = parser.add_argument_group("over a bag")

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         action="append",
         help="ROS parameter file over the bag's own; several are compared, "
-        f"'{_OWN_PARAMETERS}' is none of them",
+        f"'{_OWN_PARAMETERS}' stands for no file",
     )
     replay_options.add_options(parser)
     replay_options.add_force(parser)

@@ -121,7 +121,9 @@ def _check_setup(run: Run, _: VerdictLimits) -> Verdict:
 
 def _check_bag(run: Run, _: VerdictLimits) -> Verdict:
     if run.recording.damage:
-        return _make_verdict(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
+        return _make_verdict(
+            False, "damaged", f"Only the undamaged part could be read ({run.recording.damage})."
+        )
     return _make_verdict(True, "whole", "The recording was closed properly.")
 
 
@@ -160,7 +162,7 @@ def _check_position(run: Run, limits: VerdictLimits) -> Verdict:
         return _make_verdict(False, value, f"No heading: {run.replay.no_estimate}.")
     if encoders is None:
         return _make_verdict(score.position <= limits.position, value, f"Against {run.replay.reference}.")
-    words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * limits.position:g} cm, "
+    words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Required: {100.0 * limits.position:g} cm, "
     is_good = score.position <= min(limits.position, limits.encoders * encoders.position)
     return _make_verdict(
         is_good, value, f"{words}and at most {100.0 * limits.encoders:g} % of the encoders' error."
@@ -203,7 +205,7 @@ def _rate_consistency(limits: VerdictLimits, ratio: float, value: str, what: str
 def _check_slip(run: Run, limits: VerdictLimits) -> Verdict:
     if run.replay.slip_rmse is None:
         return _unchecked("The bag holds no true slips.")
-    words = f"Wanted: at most {PERCENT * limits.slip:g} %, left and right together, while they turn."
+    words = f"Required: at most {PERCENT * limits.slip:g} %, left and right together, while they turn."
     is_good = run.replay.slip_rmse <= limits.slip
     return _make_verdict(is_good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
 
@@ -239,7 +241,7 @@ def _check_rates(run: Run, limits: VerdictLimits) -> Verdict:
         return _make_verdict(False, "no sensor", "No sensor topic holds messages.")
     value = f"{len(lost)} sensors, at worst {PERCENT * max(lost.values()):.1f} % lost"
     bad = [f"{name} {PERCENT * share:.1f} %" for name, share in lost.items() if share > limits.lost]
-    words = f"Lost: {', '.join(bad)}." if bad else "Every sensor came at its usual rate."
+    words = f"Lost: {', '.join(bad)}." if bad else "Every sensor published at its usual rate."
     return _make_verdict(not bad, value, words)
 
 
