@@ -55,8 +55,8 @@ def test_folder_expands_to_its_bags(fleet: Path) -> None:
     assert is_folder(fleet)
     assert not is_folder(fleet / "b")
     assert not is_folder(fleet / "nothing")
-    found = find_bags([fleet / "c" / "d", fleet, fleet / "nothing"])
-    assert [str(path.relative_to(fleet)) for path in found] == ["c/d", "a", "b", "nothing"]
+    bags = find_bags([fleet / "c" / "d", fleet, fleet / "nothing"])
+    assert [str(path.relative_to(fleet)) for path in bags] == ["c/d", "a", "b", "nothing"]
 
 
 def test_a_folder_without_bags_is_refused(tmp_path: Path) -> None:
@@ -167,9 +167,9 @@ def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     named = tmp_path / "named"
-    stated = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
+    vehicle = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
     with open_bag(BAGS / "slalom_sand") as bag, BagWriter(named) as copy:
-        copy.write("/vehicle", "std_msgs/msg/String", serialize(stated), bag.start_ns)
+        copy.write("/vehicle", "std_msgs/msg/String", serialize(vehicle), bag.start_ns)
         for m in bag.messages():
             copy.write(m.topic, m.type_name, m.raw, m.log_time_ns)
     bags = [str(BAGS / "slalom_sand"), str(named)]

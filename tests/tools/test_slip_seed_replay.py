@@ -59,14 +59,14 @@ def replayed(path: Path, parts: list[Part] | None = None, **changes: Any) -> Rep
 
 
 def reports_of(parts: list[Part]) -> list[Report]:
-    found = []
+    reports = []
     for part in parts:
         names = [part.sources[source] for source in part.arrivals["source"]]
         rows = part.results[["stamp_ns", "outcome", "nis", "gate", "dof"]].tolist()
-        found += [
+        reports += [
             Report(name, row[0], Outcome(row[1]), *row[2:]) for name, row in zip(names, rows, strict=True)
         ]
-    return found
+    return reports
 
 
 def numbers(result: Replay) -> list[bytes]:
@@ -137,9 +137,9 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
 def test_tuning_with_seeds_has_finite_scores(seeded: Path) -> None:
     with open_bag(seeded) as bag:
         task = read_task(bag, load_slip_parameters(SOURCE), InputFilters(), None, needs_reference=True)
-    found = task.score({})
-    assert "slip_seed" in found.nis
-    assert np.isfinite((found.log_likelihood, found.position)).all()
+    scores = task.score({})
+    assert "slip_seed" in scores.nis
+    assert np.isfinite((scores.log_likelihood, scores.position)).all()
 
 
 def test_a_topic_of_another_type_is_refused(seeded: Path) -> None:

@@ -60,11 +60,11 @@ def test_command_writes_parameters_and_evidence(
     assert {file.name for file in out.iterdir()} == {
         *("slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl")
     }
-    found = json.loads((out / "evidence.json").read_text())
+    evidence = json.loads((out / "evidence.json").read_text())
     layer = node_parameters(read_yaml(out / "slip_estimator.yaml"), NODE, "tuned")
-    assert layer["gate_relaxation"] == found["values"]["after"]["gate_relaxation"]
+    assert layer["gate_relaxation"] == evidence["values"]["after"]["gate_relaxation"]
     assert load_slip_parameters(layer).timeouts_ns()["box_pose"] == round(
-        found["values"]["after"]["sources.box_pose.timeout"] * 1e9
+        evidence["values"]["after"]["sources.box_pose.timeout"] * 1e9
     )
     assert main(["replay", str(emulated_bag), "--params", str(out / "slip_estimator.yaml")]) == ExitCode.DONE
 

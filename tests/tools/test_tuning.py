@@ -50,8 +50,8 @@ def task_of(drive: Callable[..., Any], seed: int = 0, **changes: Any) -> Task:
     return make_task(f"bag{seed}", records(measurements(drive, seed), p), p, Track(stamps, poses))
 
 
-def records(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
-    return to_records(found, SlipEstimator(p).sources)
+def records(inputs: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
+    return to_records(inputs, SlipEstimator(p).sources)
 
 
 def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: ScoreJobs | None = None) -> Tuning:
@@ -82,14 +82,14 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     in_order = sorted(measurements(drive), key=lambda m: m.stamp_ns)
     results = estimator.process_records(records(in_order, task.p))
     estimates = results["estimate"][results["published"]]
-    found = task.score(values)
+    result = task.score(values)
     assert task.reference is not None
     expected = score(path_of(estimates), task.reference)
     assert expected is not None
-    assert found.position == pytest.approx(expected.position, rel=0.05)
-    assert found.heading == pytest.approx(expected.heading, rel=0.05)
+    assert result.position == pytest.approx(expected.position, rel=0.05)
+    assert result.heading == pytest.approx(expected.heading, rel=0.05)
     nees = nees_of_each(path_of(estimates), estimates["pose_covariance"], task.reference)[0]
-    assert found.nees == pytest.approx(np.mean(nees), rel=0.05)
+    assert result.nees == pytest.approx(np.mean(nees), rel=0.05)
 
 
 def test_nees_includes_the_covariance_of_the_reference(drive: Callable[..., Any]) -> None:
@@ -108,9 +108,9 @@ def test_errors_against_a_reference_of_singular_covariance_have_no_nees(drive: C
     exact = task.reference
     assert exact is not None
     R = np.full((len(exact.stamps_ns), 3, 3), 1e20)
-    found = replace(task, reference=Track(exact.stamps_ns, exact.poses, R)).score({})
-    assert found.position == task.score({}).position
-    assert np.isnan((found.nees, found.pose_log_likelihood)).all()
+    result = replace(task, reference=Track(exact.stamps_ns, exact.poses, R)).score({})
+    assert result.position == task.score({}).position
+    assert np.isnan((result.nees, result.pose_log_likelihood)).all()
 
 
 def test_likelihood_of_a_spike_is_limited(drive: Callable[..., Any]) -> None:

@@ -74,8 +74,8 @@ def test_measured_radius_needs_no_other_parameters(tmp_path: Path) -> None:
 
 
 def test_kinematics_alone_are_enough(tmp_path: Path) -> None:
-    given = ("--rolling-radius", "0.36", "--tread", "2.4", "--contact-length", "3.4")
-    assert new(tmp_path, *given, "--antenna", "-1.2", "0.6", "3.0") == ExitCode.DONE
+    options = ("--rolling-radius", "0.36", "--tread", "2.4", "--contact-length", "3.4")
+    assert new(tmp_path, *options, "--antenna", "-1.2", "0.6", "3.0") == ExitCode.DONE
     vehicle = load_vehicle(str(tmp_path / "digger.yaml"))
     assert vehicle.mass is None
     assert vehicle.sensors is not None
