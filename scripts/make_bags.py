@@ -151,8 +151,8 @@ def entry(name: str) -> dict[str, Any]:
     """The manifest's entry of an existing bag, without the results of replays."""
     recipe = RECIPES[name]
     values = ((field, getattr(recipe, field.name)) for field in fields(recipe))
-    made = {field.name: value for field, value in values if value != field.default}
-    return {"made": made, "sha256": digests(BAGS / name), "holds": contents(BAGS / name)}
+    changes = {field.name: value for field, value in values if value != field.default}
+    return {"made": changes, "sha256": digests(BAGS / name), "holds": contents(BAGS / name)}
 
 
 def main() -> int:

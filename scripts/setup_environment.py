@@ -53,13 +53,13 @@ exec {python} -m trackslip_tools.cli.main "$@"
 def bare_environment(keep_ros: bool = False) -> dict[str, str]:
     """This process's environment without the caller's make, without this checkout, and without ROS."""
     dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *USERS}
-    kept = {name: value for name, value in os.environ.items() if name not in dropped}
+    environment = {name: value for name, value in os.environ.items() if name not in dropped}
     for name in (*LISTS, "PYTHONPATH"):
-        paths = [path for path in kept.pop(name, "").split(os.pathsep) if path]
+        paths = [path for path in environment.pop(name, "").split(os.pathsep) if path]
         others = [path for path in paths if not path.startswith(f"{ROOT}{os.sep}")]
         if others and (keep_ros or name == "PATH"):
-            kept[name] = os.pathsep.join(others)
-    return kept
+            environment[name] = os.pathsep.join(others)
+    return environment
 
 
 def clear_venv(ros: str) -> None:

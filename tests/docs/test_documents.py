@@ -122,11 +122,11 @@ def test_files_that_are_named_are_there() -> None:
     missing = []
     for file in DOCUMENTS:
         for place in (*Document(file).spans(), *Document(file).blocks):
-            for found in re.finditer(rf"(?<![\w/.-]){PATH.pattern}", place.text):
-                alternatives = re.fullmatch(r"(.*)\{(.*)\}(.*)", found[0])
-                head, names, tail = alternatives.groups() if alternatives else (found[0], "", "")
+            for match in re.finditer(rf"(?<![\w/.-]){PATH.pattern}", place.text):
+                alternatives = re.fullmatch(r"(.*)\{(.*)\}(.*)", match[0])
+                head, names, tail = alternatives.groups() if alternatives else (match[0], "", "")
                 for name in names.split(","):
-                    if "NAME" not in found[0] and not (ROOT / f"{head}{name}{tail}").exists():
+                    if "NAME" not in match[0] and not (ROOT / f"{head}{name}{tail}").exists():
                         missing.append(str(place))
     assert missing == []
 

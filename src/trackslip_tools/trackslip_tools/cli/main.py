@@ -106,9 +106,9 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
 def _refuse_arguments(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
     """Raise InputError for a mistyped option or an extra word."""
     options = [option for action in parser._actions for option in action.option_strings]
-    like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
+    hint = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
     words = " ".join(unknown)
-    raise InputError(f"{parser.prog}: unrecognized arguments: {words}{like} (see {parser.prog} --help)")
+    raise InputError(f"{parser.prog}: unrecognized arguments: {words}{hint} (see {parser.prog} --help)")
 
 
 def _add_command(subparsers: Any, name: str, command: Command, *, whole: bool) -> None:

@@ -152,11 +152,11 @@ def _antenna_of(vehicle: str, bag_layer: Mapping[str, Any]) -> dict[str, Any]:
     names = {f"sources.{GNSS_POSE}.lever_arm_{axis}": axis for axis in "xyz"}
     if sensors is None or sensors.antenna is None or not bag_layer.keys() >= names.keys():
         return {}
-    own = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
-    if any(bag_layer[name] != value for name, value in own.items()):
-        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (bag_layer, own))
+    antenna = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
+    if any(bag_layer[name] != value for name, value in antenna.items()):
+        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (bag_layer, antenna))
         show(f"antenna: {now} m, as --vehicle has it; the bag was recorded with {before} m")
-    return own
+    return antenna
 
 
 def soil_parameters_of(

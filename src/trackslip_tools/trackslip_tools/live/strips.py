@@ -92,8 +92,8 @@ class Strips:
             band = (points[:, 1], points[:, 2]) if has_band else None
             curves[line.panel].append(Curve(label, colour, times, points[:, 0], band=band))
         return [
-            Panel(panel.title, panel.axis, own, limits=(0.0,))
-            for panel, own in zip(PANELS, curves, strict=True)
+            Panel(panel.title, panel.axis, panel_curves, limits=(0.0,))
+            for panel, panel_curves in zip(PANELS, curves, strict=True)
         ]
 
 

@@ -88,11 +88,11 @@ def reduce_columns(rows: Rows, *, detailed: bool = False) -> Rows:
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:
         return rows
-    kept = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
-    kept += [name for name in _COVARIANCES if detailed and name in names]
+    needed = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
+    needed += [name for name in _COVARIANCES if detailed and name in names]
     heading = [("heading", np.float64)] if "qx" in names else []
-    reduced = np.empty(len(rows), [(name, rows.dtype[name]) for name in kept] + heading)
-    for name in kept:
+    reduced = np.empty(len(rows), [(name, rows.dtype[name]) for name in needed] + heading)
+    for name in needed:
         reduced[name] = rows[name]
     if heading:
         reduced["heading"] = headings_of(rows)

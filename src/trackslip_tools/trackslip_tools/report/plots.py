@@ -252,11 +252,11 @@ def extreme_indices(columns: Sequence[FloatArray], limit: int) -> NDArray[np.int
     width = -(-size // pieces)
     starts = np.arange(0, size, width)
     padded = [np.append(column, np.full(-size % width, np.nan)).reshape(-1, width) for column in columns]
-    kept = [np.array((0, size - 1))]
+    chosen = [np.array((0, size - 1))]
     for rows in padded:
-        kept.append(starts + np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1))
-        kept.append(starts + np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1))
+        chosen.append(starts + np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1))
+        chosen.append(starts + np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1))
     broken = np.isnan(np.stack(padded)).any(axis=0)
-    kept.append((starts + np.argmax(broken, axis=1))[broken.any(axis=1)])
-    indices = np.unique(np.concatenate(kept))
+    chosen.append((starts + np.argmax(broken, axis=1))[broken.any(axis=1)])
+    indices = np.unique(np.concatenate(chosen))
     return indices[indices < size]
