@@ -47,8 +47,8 @@ def animate(run: Run, kinematics: Kinematics, file: Path) -> None:
         for each in slips:
             each.draw(int(moments[frame]))
 
-    moving = FuncAnimation(figure, draw, frames=FRAMES)
-    moving.save(file, writer=PillowWriter(fps=FRAMES_PER_SECOND), dpi=80)
+    animation = FuncAnimation(figure, draw, frames=FRAMES)
+    animation.save(file, writer=PillowWriter(fps=FRAMES_PER_SECOND), dpi=80)
     plt.close(figure)
 
 
@@ -61,8 +61,8 @@ class _Map:
         both = np.concatenate((self.truth, run.encoders.poses[:, :2]))
         axes.plot(*self.truth.T, color="0.85", lw=1.0)
         (self.encoder_line,) = axes.plot([], [], color=ENCODERS, lw=1.2, ls="--", label="encoders alone")
-        (self.true,) = axes.plot([], [], color=TRUTH, lw=2.5, label="truth")
-        (self.found,) = axes.plot([], [], color=ESTIMATE, lw=1.2, label="estimate")
+        (self.truth_line,) = axes.plot([], [], color=TRUTH, lw=2.5, label="truth")
+        (self.estimate_line,) = axes.plot([], [], color=ESTIMATE, lw=1.2, label="estimate")
         self.tracks = [axes.add_patch(Polygon(np.zeros((4, 2)), ec=TRUTH, lw=0.8)) for _ in (0, 1)]
         low, high = both.min(axis=0) - 0.8, both.max(axis=0) + 0.8
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
@@ -73,8 +73,8 @@ class _Map:
         estimates = self.run.estimates
         for line, stamps, points in (
             (self.encoder_line, self.run.encoders.stamps_ns, self.run.encoders.poses),
-            (self.true, self.run.truth.stamps_ns, self.truth),
-            (self.found, estimates.stamps_ns, estimates["pose"]),
+            (self.truth_line, self.run.truth.stamps_ns, self.truth),
+            (self.estimate_line, estimates.stamps_ns, estimates["pose"]),
         ):
             line.set_data(*points[: int(np.searchsorted(stamps, now, "right")), :2].T)
         row = min(int(np.searchsorted(estimates.stamps_ns, now)), len(estimates) - 1)
@@ -100,8 +100,8 @@ class _Slip:
         self.slip = run.estimates["slips"][:, side]
         self.sigma = np.sqrt(run.estimates["slip_covariance"][:, side, side])
         self.true_t = (run.true_slips.stamps_ns - self.start) * 1e-9
-        self.true = np.asarray(run.true_slips[name])
-        (self.truth,) = axes.plot([], [], color=TRUTH, lw=1.5, label="truth")
+        self.true_slip = np.asarray(run.true_slips[name])
+        (self.truth_line,) = axes.plot([], [], color=TRUTH, lw=1.5, label="truth")
         (self.line,) = axes.plot([], [], color=ESTIMATE, lw=1.2, label="estimate, ±2σ")
         self.band = axes.fill_between([0.0], [0.0], [0.0], color=ESTIMATE, alpha=0.2, lw=0.0)
         axes.set(xlim=(0.0, self.t[-1]), ylim=RANGE, ylabel=name.replace("_", " "))
@@ -113,7 +113,7 @@ class _Slip:
         seconds = (now - self.start) * 1e-9
         n, m = int(np.searchsorted(self.t, seconds)), int(np.searchsorted(self.true_t, seconds))
         self.line.set_data(self.t[:n], self.slip[:n])
-        self.truth.set_data(self.true_t[:m], self.true[:m])
+        self.truth_line.set_data(self.true_t[:m], self.true_slip[:m])
         self.band.remove()
         low, high = self.slip[:n] - 2.0 * self.sigma[:n], self.slip[:n] + 2.0 * self.sigma[:n]
         self.band = self.axes.fill_between(self.t[:n], low, high, color=ESTIMATE, alpha=0.2, lw=0.0)

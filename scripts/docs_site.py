@@ -29,7 +29,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     """Add the pages outside ``docs/``, and those of the API."""
     for source, name in OUTSIDE.items():
         if source != "docs/README.md":
-            text = relinked((ROOT / source).read_text(encoding="utf-8"), PurePosixPath(source).parent)
+            text = relink((ROOT / source).read_text(encoding="utf-8"), PurePosixPath(source).parent)
             files.append(File.generated(config, name, content=text))
     for page in sorted(API.glob("*.md")):
         files.append(File.generated(config, f"api/{page.name}", content=page.read_text(encoding="utf-8")))
@@ -40,7 +40,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, **_: An
     """Point links out of ``docs/`` to pages of the site, or keep only their text."""
     if page.file.generated_by:
         return markdown
-    return relinked(markdown, PurePosixPath("docs") / PurePosixPath(page.file.src_uri).parent)
+    return relink(markdown, PurePosixPath("docs") / PurePosixPath(page.file.src_uri).parent)
 
 
 def on_post_page(output: str, *, page: Page, **_: Any) -> str:
@@ -48,13 +48,13 @@ def on_post_page(output: str, *, page: Page, **_: Any) -> str:
     return output.replace(_SHIM, get_relative_url("offline_search.js", page.url))
 
 
-def relinked(text: str, folder: PurePosixPath) -> str:
+def relink(text: str, folder: PurePosixPath) -> str:
     """Convert the links of a file in ``folder`` of the repository to links of a page at the site's top."""
 
-    def replaced(found: re.Match[str]) -> str:
-        picture, words, path, anchor = found[1], found[2], found[3], found[4] or ""
+    def replaced(match: re.Match[str]) -> str:
+        picture, words, path, anchor = match[1], match[2], match[3], match[4] or ""
         if re.match(r"[a-z]+:", path):
-            return found[0]
+            return match[0]
         target = _normal(folder / path)
         if target in OUTSIDE:
             return f"[{words}]({OUTSIDE[target]}{anchor})"

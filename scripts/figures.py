@@ -104,9 +104,9 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
     slip = np.geomspace(0.001, 1.0, 2000)
     for modulus, colour, dash in zip((0.006, 0.01, 0.025, 0.05), COLOURS, DASHES, strict=False):
         exact = thrust(slip, 1.0, modulus, length)
-        found = slip_of_thrust_approximate(exact, 1.0, modulus, length)
+        approximate_slip = slip_of_thrust_approximate(exact, 1.0, modulus, length)
         line: dict[str, Any] = {"color": colour, "linestyle": dash, "label": f"K = {100 * modulus:g} cm"}
-        in_slip.plot(100.0 * slip, 100.0 * (slip - found) / found, **line)
+        in_slip.plot(100.0 * slip, 100.0 * (slip - approximate_slip) / approximate_slip, **line)
         # By (3.12) the thrust at this slip is exp(−K/(i l)) of the limit.
         approximate = np.exp(-modulus / (slip * length))
         in_thrust.plot(100.0 * slip, 100.0 * (approximate - exact) / exact, **line)
@@ -214,8 +214,8 @@ def draw_demo(output: Path) -> None:
             result = replay(bag, estimator, InputFilters(), TRUE_ODOMETRY, None, collect)
     start_ns = START_NS + round(p.lead_in * 1e9)
     driven = {name: series.rows_since(start_ns) for name, series in result.series.items()}
-    found = Series(sort_by_stamp(estimates.rows())).rows_since(start_ns)
-    run = Run(found, driven[TRUE_ODOMETRY], driven[TRUE_SLIP], result.paths["dead_reckoning"])
+    estimated = Series(sort_by_stamp(estimates.rows())).rows_since(start_ns)
+    run = Run(estimated, driven[TRUE_ODOMETRY], driven[TRUE_SLIP], result.paths["dead_reckoning"])
     animate(run, load_vehicle().kinematics, output / "demo.gif")
     print(output / "demo.gif")
 

@@ -90,17 +90,17 @@ def record(name: str, folder: Path) -> None:
     """Record the recipe ``name`` into a new bag in ``folder``."""
     recipe, path = RECIPES[name], folder / name
     local = BAGS / recipe.scenario
-    given: dict[str, Any] = {"scenario": str(local) if local.is_file() else recipe.scenario}
-    given |= {"soil": recipe.soil, "seed": recipe.seed, "duration": recipe.duration}
+    parameters: dict[str, Any] = {"scenario": str(local) if local.is_file() else recipe.scenario}
+    parameters |= {"soil": recipe.soil, "seed": recipe.seed, "duration": recipe.duration}
     if recipe.vehicle:
-        given |= {"vehicle": recipe.vehicle, "gnss.device.rate": RECEIVER_RATE}
+        parameters |= {"vehicle": recipe.vehicle, "gnss.device.rate": RECEIVER_RATE}
     if recipe.imu_rate:
-        given["vehicle.sensors.imu.rate"] = recipe.imu_rate
-    p = load_emulator_parameters(given)
+        parameters["vehicle.sensors.imu.rate"] = recipe.imu_rate
+    p = load_emulator_parameters(parameters)
     if recipe.topics:
-        with tempfile.TemporaryDirectory() as beside:
-            record_drive(p, simulate_drive(p), Path(beside) / name)
-            _shorten(Path(beside) / name, path, recipe)
+        with tempfile.TemporaryDirectory() as whole_folder:
+            record_drive(p, simulate_drive(p), Path(whole_folder) / name)
+            _shorten(Path(whole_folder) / name, path, recipe)
     else:
         record_drive(p, simulate_drive(p), path)
     if recipe.kept < 1.0:
@@ -141,18 +141,18 @@ def expected(path: Path) -> dict[str, Any]:
         vehicle = bag_vehicle(bag)
         p = load_slip_parameters({} if vehicle is None else vehicle_layer(vehicle), bag_parameters(bag))
         result = replay(bag, p, InputFilters(), None)
-        found = summary(result, result.elapsed_s)
-    rmse = {name: round(value, 5) for name, value in found["rmse"].items() if value is not None}
-    final = {name: round(value, 5) for name, value in found["final"].items()}
-    return {"final": final, "rmse": rmse, "nees": round(found["nees"], 3), "rejected": found["rejected"]}
+        results = summary(result, result.elapsed_s)
+    rmse = {name: round(value, 5) for name, value in results["rmse"].items() if value is not None}
+    final = {name: round(value, 5) for name, value in results["final"].items()}
+    return {"final": final, "rmse": rmse, "nees": round(results["nees"], 3), "rejected": results["rejected"]}
 
 
 def entry(name: str) -> dict[str, Any]:
     """The manifest's entry of an existing bag, without the results of replays."""
     recipe = RECIPES[name]
     values = ((field, getattr(recipe, field.name)) for field in fields(recipe))
-    made = {field.name: value for field, value in values if value != field.default}
-    return {"made": made, "sha256": digests(BAGS / name), "holds": contents(BAGS / name)}
+    changes = {field.name: value for field, value in values if value != field.default}
+    return {"made": changes, "sha256": digests(BAGS / name), "holds": contents(BAGS / name)}
 
 
 def main() -> int:
@@ -171,9 +171,9 @@ def main() -> int:
         record(name, BAGS)
         manifest[name] = entry(name)
     for name in names:
-        described = manifest[name]
-        described["replay"] = expected(BAGS / name)
-        print(f"{name}: {described['replay']['rmse']}")
+        described_bag = manifest[name]
+        described_bag["replay"] = expected(BAGS / name)
+        print(f"{name}: {described_bag['replay']['rmse']}")
     text = yaml.safe_dump({"tolerances": _TOLERANCES, "bags": manifest}, sort_keys=False, width=110)
     MANIFEST.write_text(_HEAD + text, encoding="utf-8")
     return 0

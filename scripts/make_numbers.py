@@ -13,14 +13,14 @@ import tempfile
 from pathlib import Path
 
 from measurements import MEASUREMENTS
-from measurements.blocks import ROOT, names_on, rewritten
+from measurements.blocks import ROOT, names_on, rewrite_blocks
 from measurements.workbench import NotMeasured
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli.progress import iterate_with_bar
 from trackslip_tools.workers import core_count, open_workers
 
 
-def measured(_: None, name: str) -> tuple[str, str, str]:
+def measure_block(_: None, name: str) -> tuple[str, str, str]:
     """Name, new content of its block, and the reason if it cannot be measured; one of the two is empty."""
     with tempfile.TemporaryDirectory(prefix="trackslip_numbers_") as folder:
         try:
@@ -33,23 +33,23 @@ def main() -> int:
     """Measure, write the pages; returns the exit code: 1 if a block stays unchanged."""
     parser = argparse.ArgumentParser(prog="make numbers", description=__doc__)
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="docs/swing.md, or swing; default: all")
-    asked = {Path(page).stem for page in parser.parse_args().pages}
-    found = names_on(lambda page: not asked or page.stem in asked)
-    if missing := asked - {page.stem for page in found.values()}:
+    requested = {Path(page).stem for page in parser.parse_args().pages}
+    page_of_block = names_on(lambda page: not requested or page.stem in requested)
+    if missing := requested - {page.stem for page in page_of_block.values()}:
         print(f"no figures to write on: {', '.join(sorted(missing))}", file=sys.stderr)
         return ExitCode.BAD_INPUT
-    left = False
-    with open_workers(min(core_count(), len(found))) as mapped:
-        running = mapped(measured, [name for name in MEASUREMENTS if name in found])
-        for name, content, reason in iterate_with_bar(running, "measurements", total=len(found)):
-            page = found[name]
+    is_incomplete = False
+    with open_workers(min(core_count(), len(page_of_block))) as map_items:
+        running = map_items(measure_block, [name for name in MEASUREMENTS if name in page_of_block])
+        for name, content, reason in iterate_with_bar(running, "measurements", total=len(page_of_block)):
+            page = page_of_block[name]
             text = page.read_text(encoding="utf-8")
-            new = text if reason else rewritten(text, {name: content})
+            new = text if reason else rewrite_blocks(text, {name: content})
             page.write_text(new, encoding="utf-8")
             state = f"left: {reason}" if reason else "the same" if new == text else "written"
             print(f"{page.relative_to(ROOT)}: {name}: {state}", flush=True)
-            left |= bool(reason)
-    return ExitCode.FAILED if left else ExitCode.DONE
+            is_incomplete |= bool(reason)
+    return ExitCode.FAILED if is_incomplete else ExitCode.DONE
 
 
 if __name__ == "__main__":

@@ -29,11 +29,11 @@ def sentences(text: str) -> list[str]:
     text = _INDENTED.sub("\n\n", text)
     text = re.sub(r"^(?:\|.*|#.*|<!--.*-->|!\[.*)$", "", text, flags=re.MULTILINE)
     text = _LINK.sub(r"\1", re.sub(r"`[^`]*`", "`x`", text))
-    found = []
+    parts = []
     for paragraph in re.split(r"\n\s*\n", _ITEM.sub("\n\n", text)):
         one_line = " ".join(_SHORT.sub(r"\1", paragraph).split())
-        found += [s for s in _END.split(one_line) if len(s.split()) > 1]
-    return found
+        parts += [s for s in _END.split(one_line) if len(s.split()) > 1]
+    return parts
 
 
 def count(text: str) -> Count:

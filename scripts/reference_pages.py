@@ -63,9 +63,9 @@ NODES = {
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
     """Lines of a Markdown table; empty columns are omitted."""
     cells = [[cell.replace("|", "\\|") for cell in row] for row in (tuple(head), *rows)]
-    kept = [n for n in range(len(cells[0])) if any(row[n] for row in cells[1:])]
-    lines = ["| " + " | ".join(row[n] for n in kept) + " |" for row in cells]
-    yield from (lines[0], "|---" * len(kept) + "|", *lines[1:], "")
+    columns = [n for n in range(len(cells[0])) if any(row[n] for row in cells[1:])]
+    lines = ["| " + " | ".join(row[n] for n in columns) + " |" for row in cells]
+    yield from (lines[0], "|---" * len(columns) + "|", *lines[1:], "")
 
 
 def parameters_page() -> Iterator[str]:
@@ -83,12 +83,12 @@ def parameters_page() -> Iterator[str]:
     for name, node in NODES.items():
         yield from (f"## {name}", "")
         defaults = node_defaults(name, *node.files)
-        own = (
+        node_fields = (
             (field, *rest)
             for field, *rest in flat_fields(node.parameters)
             if not field.startswith("vehicle.")
         )
-        yield from _parameters(own, defaults)
+        yield from _parameters(node_fields, defaults)
     yield from ("## Sources of the slip estimator", "")
     yield from (
         "Each topic in a list of sources has a group `sources.<name>`, named as the topic with `_` for `/`:",

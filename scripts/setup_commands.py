@@ -22,7 +22,7 @@ from trackslip_common.atomic_files import atomic_replacement  # noqa: E402 (foun
 
 LOG = ROOT / "ros2_ws" / "setup.log"
 _POLL = 0.05  # s
-_asked: list[int] = []  # received signals
+_received_signals: list[int] = []  # received signals
 
 
 class SetupError(Exception):
@@ -47,12 +47,12 @@ class Step:
 def note_interrupts() -> None:
     """Defer Ctrl-C and SIGTERM until set-up waits; a command being started could be lost otherwise."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: _asked.append(number))
+        signal.signal(number, lambda number, _: _received_signals.append(number))
 
 
 def check_interrupts() -> None:
     """Raise KeyboardInterrupt after a deferred signal."""
-    if _asked:
+    if _received_signals:
         raise KeyboardInterrupt
 
 
@@ -116,12 +116,12 @@ class Job:
 
 def run(command: Command) -> None:
     """Run one command to its end or to an interrupt; raises as ``Job.is_running``."""
-    with beside([command]):
+    with in_parallel([command]):
         pass
 
 
 @contextmanager
-def beside(commands: list[Command]) -> Iterator[None]:
+def in_parallel(commands: list[Command]) -> Iterator[None]:
     """Run commands in parallel to the block and wait for them after it; after a failure, end all."""
     jobs: list[Job] = []
     try:
@@ -143,10 +143,10 @@ def succeeds(command: list[str]) -> bool:
 def read_stamp(stamp: Path) -> dict[str, str]:
     """Content of a stamp; empty if the file is missing or damaged."""
     try:
-        found = json.loads(stamp.read_text(encoding="utf-8"))
+        content = json.loads(stamp.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def write_stamp(stamp: Path, digest: str, ros: str) -> None:

@@ -53,13 +53,13 @@ exec {python} -m trackslip_tools.cli.main "$@"
 def bare_environment(keep_ros: bool = False) -> dict[str, str]:
     """This process's environment without the caller's make, without this checkout, and without ROS."""
     dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *USERS}
-    kept = {name: value for name, value in os.environ.items() if name not in dropped}
+    environment = {name: value for name, value in os.environ.items() if name not in dropped}
     for name in (*LISTS, "PYTHONPATH"):
-        paths = [path for path in kept.pop(name, "").split(os.pathsep) if path]
+        paths = [path for path in environment.pop(name, "").split(os.pathsep) if path]
         others = [path for path in paths if not path.startswith(f"{ROOT}{os.sep}")]
         if others and (keep_ros or name == "PATH"):
-            kept[name] = os.pathsep.join(others)
-    return kept
+            environment[name] = os.pathsep.join(others)
+    return environment
 
 
 def clear_venv(ros: str) -> None:
@@ -68,15 +68,15 @@ def clear_venv(ros: str) -> None:
     Raises:
         SetupError: no earlier set-up made it, or a file in it cannot be removed.
     """
-    inside = list(VENV.iterdir()) if VENV.is_dir() else []
-    names = [path.name.lstrip(".") for path in inside]
-    ours = not inside or any(name.startswith("trackslip") for name in names)  # the stamp may be missing
-    if not ours or (os.path.lexists(VENV) and not VENV.is_dir()):
+    contents = list(VENV.iterdir()) if VENV.is_dir() else []
+    names = [path.name.lstrip(".") for path in contents]
+    is_ours = not contents or any(name.startswith("trackslip") for name in names)  # the stamp may be missing
+    if not is_ours or (os.path.lexists(VENV) and not VENV.is_dir()):
         raise SetupError(f"{VENV} was not made by make setup, and stays; move it away and run this again")
     try:
         VENV.mkdir(exist_ok=True)
         write_stamp(VENV_STAMP, "", ros)
-        for path in inside:
+        for path in contents:
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             elif path != VENV_STAMP:
@@ -114,15 +114,15 @@ def write_local_setup(ros: str) -> None:
 
 def install_environment(ros: str) -> None:
     """Store the result of sourcing the built workspace for ``activate`` and ``trackslip``."""
-    found = _sourced()
+    variables = _sourced()
     packages = sorted(path.parent for path in (ROOT / "src").glob("*/setup.py"))
-    modules = [*map(str, packages), *found.pop("PYTHONPATH", "").split(os.pathsep)]
+    modules = [*map(str, packages), *variables.pop("PYTHONPATH", "").split(os.pathsep)]
     write_file(SITE / "trackslip.pth", "\n".join(modules) + "\n")
 
-    lists = {name: found.pop(name) for name in LISTS if name in found}
-    defaults = {name: found.pop(name) for name in USERS if name in found}
+    lists = {name: variables.pop(name) for name in LISTS if name in variables}
+    defaults = {name: variables.pop(name) for name in USERS if name in variables}
     text = "# Made by make setup: what sourcing ros2_ws/install/setup.sh gave; source this or that.\n"
-    write_file(ENVIRONMENT, text + _assignments(lists, found, defaults))
+    write_file(ENVIRONMENT, text + _assignments(lists, variables, defaults))
 
     environment, python = shlex.quote(str(ENVIRONMENT)), shlex.quote(str(VENV / "bin" / "python"))
     write_file(VENV / "bin" / "trackslip", _WRAPPER.format(environment=environment, python=python), 0o755)
@@ -143,10 +143,10 @@ def _sourced() -> dict[str, str]:
     output = subprocess.run(
         ["sh", "-c", script], env=before, capture_output=True, text=True, check=True
     ).stdout
-    found = dict(entry.split("=", 1) for entry in output.split("\0") if entry)
-    found["PATH"] = found["PATH"].removesuffix(os.defpath).rstrip(os.pathsep)
+    variables = dict(entry.split("=", 1) for entry in output.split("\0") if entry)
+    variables["PATH"] = variables["PATH"].removesuffix(os.defpath).rstrip(os.pathsep)
     unwanted = ("PWD", "OLDPWD", "SHLVL", "_")
-    return {name: value for name, value in found.items() if value and name not in unwanted}
+    return {name: value for name, value in variables.items() if value and name not in unwanted}
 
 
 def _assignments(lists: dict[str, str], values: dict[str, str], defaults: dict[str, str]) -> str:

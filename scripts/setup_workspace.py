@@ -26,7 +26,7 @@ from setup_commands import (
     Command,
     SetupError,
     Step,
-    beside,
+    in_parallel,
     note_interrupts,
     read_stamp,
     run,
@@ -84,16 +84,16 @@ def set_up(requested: str, checks: bool) -> None:
         )
     ros = choose_ros(requested)
     venv_digest = digest_of_venv(ros)
-    bare = read_stamp(VENV_STAMP).get("digest") != venv_digest
-    if bare:
+    venv_outdated = read_stamp(VENV_STAMP).get("digest") != venv_digest
+    if venv_outdated:
         clear(ros)
         install_system_packages()
         create_venv(ros)
     workspace_digest = digest_of_workspace(venv_digest)
     if read_stamp(WORKSPACE_STAMP).get("digest") != workspace_digest:
         WORKSPACE_STAMP.unlink(missing_ok=True)
-        with Step("kernels compiled in parallel"), beside(kernel_compilation()):
-            if bare:
+        with Step("kernels compiled in parallel"), in_parallel(kernel_compilation()):
+            if venv_outdated:
                 install_ros(ros)
                 write_stamp(VENV_STAMP, venv_digest, ros)
             build_workspace(ros)
@@ -111,15 +111,15 @@ def clear(ros: str) -> None:
     """Remove the results of an earlier set-up, and empty the log."""
     clear_venv(ros)
     WORKSPACE_STAMP.unlink(missing_ok=True)
-    for made in (WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
-        shutil.rmtree(made, ignore_errors=True)
+    for folder in (WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
+        shutil.rmtree(folder, ignore_errors=True)
     LOG.write_text("")
 
 
 def choose_ros(requested: str) -> str:
     """``jazzy`` or ``kilted`` (wheels) or ``system``: as sourced, else as requested, else as last time."""
-    ours = str(VENV) in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)  # activated wheels
-    sourced = "" if ours else os.environ.get("ROS_DISTRO", "")
+    is_ours = str(VENV) in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)  # activated wheels
+    sourced = "" if is_ours else os.environ.get("ROS_DISTRO", "")
     before = read_stamp(VENV_STAMP).get("ros", "")
     if sourced:
         if requested not in ("", sourced):
@@ -289,8 +289,8 @@ def build_workspace(ros: str) -> None:
     if ros != SYSTEM:
         write_local_setup(ros)
     for package in ROOT.glob("src/*/setup.py"):
-        for made in ("build", "install"):
-            shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
+        for folder in ("build", "install"):
+            shutil.rmtree(WORKSPACE / folder / package.parent.name, ignore_errors=True)
     python = str(VENV / "bin" / "python")
     colcon = [python, "-m", "colcon", "build", "--symlink-install", "--event-handlers", "console_cohesion+"]
     colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]

@@ -49,11 +49,11 @@ def _rows_with_rtk(folder: Path) -> Iterator[dict[str, Any]]:
         for soil in SOILS:
             bag = f"{{}}/{scenario}_{soil}"
             trackslip(f"simulate --scenario {scenario} --soil {soil} {machine} --output {bag}", folder)
-            found, without = (
+            result, without = (
                 trackslip(f"replay {bag} --params config/gnss.yaml --set {_ALTITUDE}={used}", folder)
                 for used in ("true", "false")
             )
-            yield {**found, "scenario": scenario, "soil": soil, "without": without}
+            yield {**result, "scenario": scenario, "soil": soil, "without": without}
 
 
 def _rows(folder: Path) -> Iterator[dict[str, Any]]:
@@ -61,6 +61,6 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
         for soil in SOILS:
             bag = f"{{}}/{scenario}_{soil}"
             trackslip(f"simulate --scenario {scenario} --soil {soil} --output {bag}", folder)
-            found = trackslip(f"replay {bag}", folder)
+            result = trackslip(f"replay {bag}", folder)
             flat = trackslip(f"replay {bag} --set slip_estimator.use_attitude=false", folder)
-            yield {**found, "scenario": scenario, "soil": soil, "flat": flat}
+            yield {**result, "scenario": scenario, "soil": soil, "flat": flat}

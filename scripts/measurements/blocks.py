@@ -19,23 +19,23 @@ def blocks_of(text: str) -> dict[str, str]:
     Raises:
         ValueError: a mark has no partner, or a name occurs twice.
     """
-    found = {name: content for _, name, content, _ in _BLOCK.findall(text)}
+    blocks = {name: content for _, name, content, _ in _BLOCK.findall(text)}
     marks = len(_MARK.findall(text))
-    if marks != 2 * len(found):
-        raise ValueError(f"{marks} marks make {len(found)} blocks: one is not closed, or stands twice")
-    return found
+    if marks != 2 * len(blocks):
+        raise ValueError(f"{marks} marks make {len(blocks)} blocks: one is not closed, or stands twice")
+    return blocks
 
 
 def without_blocks(text: str) -> str:
     """The text without the content of blocks; lines keep their numbers."""
-    return _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), text)
+    return _BLOCK.sub(lambda match: "\n" * match[0].count("\n"), text)
 
 
-def rewritten(text: str, contents: Mapping[str, str]) -> str:
+def rewrite_blocks(text: str, contents: Mapping[str, str]) -> str:
     """The text with new contents of the named blocks; other blocks are unchanged."""
 
-    def one(found: re.Match[str]) -> str:
-        head, name, content, foot = found.groups()
+    def one(match: re.Match[str]) -> str:
+        head, name, content, foot = match.groups()
         return f"{head}{contents.get(name, content)}{foot}"
 
     return _BLOCK.sub(one, text)

@@ -40,7 +40,7 @@ _STUDY = {
 }
 _TURNED = {
     "soil": lambda row: spaced_name(row["soil"]),
-    "cab": lambda row: row["looks"],
+    "cab": lambda row: row["direction"],
     "F_max known N": lambda row: _limit(row["known"], row["true"]),
     "F_max unknown N": lambda row: _limit(row["unknown"], row["true"]),
     "true": lambda row: f"{row['true']:.0f}",
@@ -69,19 +69,19 @@ def _dig_rows(folder: Path) -> Iterator[dict[str, Any]]:
         options = f"--soil {soil} --seed {seed} --duration 1200 --output {bag}"
         trackslip(f"simulate --scenario dig_cycles {options}", folder)
         for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER)):
-            found = trackslip(f"replay {bag} {option}", folder)
-            yield {"drive": f"{spaced_name(soil)}, {seed}", "encoder": encoder, **found}
+            result = trackslip(f"replay {bag} {option}", folder)
+            yield {"drive": f"{spaced_name(soil)}, {seed}", "encoder": encoder, **result}
 
 
 def _study_rows(folder: Path) -> Iterator[dict[str, Any]]:
     options = "--scenario dig_cycles --vehicle pc05_cab --duration 260 --settling 60 --seeds 3"
     grid = f"--filter ekf --sigma-xy 0.01 0.05 --soil {' '.join(soil for soil, _ in _DRIVES)}"
-    found = [
+    rows = [
         {"encoder": encoder, **row}
         for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER))
         for row in trackslip(f"study --workers 1 {options} {grid} {option}", folder)
     ]
-    yield from sorted(found, key=lambda row: [soil for soil, _ in _DRIVES].index(row["soil"]))
+    yield from sorted(rows, key=lambda row: [soil for soil, _ in _DRIVES].index(row["soil"]))
 
 
 def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
@@ -89,15 +89,15 @@ def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
     bare.write_text(vehicle_text(_bare()), encoding="utf-8")
     vehicles = {"known": "pc05_cab", "unknown": str(bare)}
     for soil in ("sand", "dry_clay"):
-        for looks, angle in _ANGLES.items():
+        for direction, angle in _ANGLES.items():
             tree = dict(read_yaml(config_file("scenarios/field_trial.yaml")))
             swing = {"duration": _SWING_TIME, "left": 0.0, "right": 0.0, "swing_to": angle}
             scenario = write_yaml(
-                folder / f"{soil}_{looks}.yaml", {**tree, "segments": [swing, *tree["segments"]]}
+                folder / f"{soil}_{direction}.yaml", {**tree, "segments": [swing, *tree["segments"]]}
             )
-            row: dict[str, Any] = {"soil": soil, "looks": looks, "true": _true_limit(soil)}
+            row: dict[str, Any] = {"soil": soil, "direction": direction, "true": _true_limit(soil)}
             for name, vehicle in vehicles.items():
-                bag = f"{{}}/{soil}_{looks}_{name}"
+                bag = f"{{}}/{soil}_{direction}_{name}"
                 machine = f"--soil {soil} --vehicle {vehicle} --output {bag}"
                 trackslip(f"simulate --scenario {scenario} {machine}", folder)
                 # The check reports the antenna of an unknown cab as misplaced, correctly.
@@ -114,9 +114,9 @@ def _bare() -> VehicleParameters:
 
 def _true_limit(soil: str) -> float:
     """F_max of one track on level ground, N, by (3.1)."""
-    found, vehicle = load_soils()[soil], load_vehicle("pc05_cab").whole()
+    properties, vehicle = load_soils()[soil], load_vehicle("pc05_cab").whole()
     area = 2.0 * vehicle.contact_length * vehicle.track_width
-    return float(thrust_limit(found.cohesion, found.friction_angle, area, vehicle.weight))
+    return float(thrust_limit(properties.cohesion, properties.friction_angle, area, vehicle.weight))
 
 
 def _limit(soil: dict[str, Any], true: float) -> str:

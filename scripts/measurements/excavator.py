@@ -41,10 +41,10 @@ def wrong_numbers(folder: Path) -> list[str]:
         vehicle = write_yaml(folder / "wrong.yaml", {"base": "excavator_20t", "name": "wrong", **content})
         rows.append({"wrong": wrong, **trackslip(f"{_REPLAY} --vehicle {vehicle}", folder)})
     file = config_file("gnss.yaml")
-    stated = node_parameters(read_yaml(file), "slip_estimator", str(file))
-    offset = float(stated.get("sources.heading.offset", -math.pi / 2.0)) + 0.02
-    found = trackslip(f"{_REPLAY} --set slip_estimator.sources.heading.offset={offset}", folder)
-    rows.append({"wrong": "direction of the antennas 0.02 rad off", **found})
+    parameters = node_parameters(read_yaml(file), "slip_estimator", str(file))
+    offset = float(parameters.get("sources.heading.offset", -math.pi / 2.0)) + 0.02
+    result = trackslip(f"{_REPLAY} --set slip_estimator.sources.heading.offset={offset}", folder)
+    rows.append({"wrong": "direction of the antennas 0.02 rad off", **result})
     return table_lines(_COLUMNS, rows, text_columns=1)
 
 

@@ -109,8 +109,8 @@ def _of_positions(mapping: dict[str, Any]) -> dict[str, Any]:
 
 def _mean(replay: str, model: str, folder: Path) -> tuple[float, float]:
     """Mean RMSE, m, and NEES of the position over three draws."""
-    found = [
+    results = [
         trackslip(f"{replay} --set slip_estimator.model={model} --seed {seed}", folder) for seed in range(3)
     ]
-    rmse = [one["rmse"]["filter"] for one in found]
-    return float(np.mean(rmse)), float(np.mean([one["nees_position"] for one in found]))
+    rmse = [result["rmse"]["filter"] for result in results]
+    return float(np.mean(rmse)), float(np.mean([result["nees_position"] for result in results]))

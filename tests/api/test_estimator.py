@@ -35,14 +35,14 @@ def drive(duration: float = 30.0) -> dict[str, np.ndarray]:
     yaw = np.concatenate(([0.0], np.cumsum(rate[:-1]) / RATE))
     x = np.concatenate(([0.0], np.cumsum(SPEED * np.cos(yaw[:-1])) / RATE))
     y = np.concatenate(([0.0], np.cumsum(SPEED * np.sin(yaw[:-1])) / RATE))
-    fixed = np.arange(len(t)) % round(RATE) == 0
+    has_fix = np.arange(len(t)) % round(RATE) == 0
     return {
         "t": t,
         "left": (SPEED - rate * TREAD / 2.0) / RADIUS,
         "right": (SPEED + rate * TREAD / 2.0) / RADIUS,
         "gz": np.degrees(rate),
-        "x": np.where(fixed, x, np.nan),
-        "y": np.where(fixed, y, np.nan),
+        "x": np.where(has_fix, x, np.nan),
+        "y": np.where(has_fix, y, np.nan),
     }
 
 
@@ -57,11 +57,11 @@ def result() -> ts.Result:
 
 def test_path_of_a_frame_is_found(result: ts.Result) -> None:
     columns, pose = drive(), result.estimates.pose[-1]
-    at = np.flatnonzero(np.isfinite(columns["x"]))[-1]
-    since = round((columns["t"][-1] - columns["t"][at]) * 1e9)
-    k = np.searchsorted(result.estimates.stamp_ns, result.estimates.stamp_ns[-1] - since)
-    place = result.estimates.pose[k, :2]
-    assert np.hypot(*(place - (columns["x"][at], columns["y"][at]))) < 0.1
+    last_fix = np.flatnonzero(np.isfinite(columns["x"]))[-1]
+    since_fix = round((columns["t"][-1] - columns["t"][last_fix]) * 1e9)
+    k = np.searchsorted(result.estimates.stamp_ns, result.estimates.stamp_ns[-1] - since_fix)
+    position = result.estimates.pose[k, :2]
+    assert np.hypot(*(position - (columns["x"][last_fix], columns["y"][last_fix]))) < 0.1
     assert pose[2] == pytest.approx(1.5, abs=0.05)
     assert np.abs(result.estimates.slips[-1, :2]).max() < 0.1
     assert result.summary["vehicle"] == "made"
@@ -132,9 +132,14 @@ def test_resolution_of_a_coarse_encoder_is_found_from_its_counts() -> None:
     assert found.setup.is_plausible
     differences = {side: np.diff(columns[side], prepend=0.0) * RATE / 50.0 for side in ("left", "right")}
     speeds = {f"{side}_velocity": (side, "rev/s") for side in differences}
-    for of, given in ((sources, columns), ({**SOURCES, "sprockets": speeds}, {**columns, **differences})):
-        stated = ts.Estimator(vehicle=MACHINE, sources=of, parameters={"encoder_resolution": 1e-4})
-        assert {cause.cause for cause in stated.run(given).setup.causes} == {"encoder_resolution"}
+    for source_set, frame in (
+        (sources, columns),
+        ({**SOURCES, "sprockets": speeds}, {**columns, **differences}),
+    ):
+        with_resolution = ts.Estimator(
+            vehicle=MACHINE, sources=source_set, parameters={"encoder_resolution": 1e-4}
+        )
+        assert {cause.cause for cause in with_resolution.run(frame).setup.causes} == {"encoder_resolution"}
 
 
 def test_times_that_go_back_are_refused() -> None:

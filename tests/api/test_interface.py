@@ -48,10 +48,10 @@ def test_estimates_are_those_that_the_command_writes(result: ts.Result, tmp_path
 def test_summary_is_that_of_the_command(result: ts.Result, tmp_path: Path) -> None:
     main(["replay", str(ts.example()), "--json", str(tmp_path / "summary.json")])
     expected = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
-    found = json.loads(json.dumps(result.summary))
-    for one in (found, expected):
+    summary = json.loads(json.dumps(result.summary))
+    for one in (summary, expected):
         del one["real_time_factor"]  # differs between runs
-    assert found == expected
+    assert summary == expected
 
 
 def test_example_is_estimated_within_its_own_uncertainty(result: ts.Result) -> None:

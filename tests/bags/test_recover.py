@@ -86,7 +86,7 @@ def test_cut_bag_is_recovered_up_to_its_last_whole_chunk(
     assert main(["recover", str(damaged)]) == ExitCode.DONE
     printed = capsys.readouterr().out
     assert "bag_0.mcap: cut short\n" in printed
-    assert "lost: what a recorder that was killed had in hand, at most 0.5 s" in printed
+    assert "lost: what a killed recorder had not written yet, at most 0.5 s" in printed
     recovered = contents(tmp_path / "bag_recovered")
     assert len(recovered) % 50 == 0
     assert len(recovered) >= (share - 0.3) * COUNT

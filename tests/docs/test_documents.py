@@ -122,11 +122,11 @@ def test_files_that_are_named_are_there() -> None:
     missing = []
     for file in DOCUMENTS:
         for place in (*Document(file).spans(), *Document(file).blocks):
-            for found in re.finditer(rf"(?<![\w/.-]){PATH.pattern}", place.text):
-                alternatives = re.fullmatch(r"(.*)\{(.*)\}(.*)", found[0])
-                head, names, tail = alternatives.groups() if alternatives else (found[0], "", "")
+            for match in re.finditer(rf"(?<![\w/.-]){PATH.pattern}", place.text):
+                alternatives = re.fullmatch(r"(.*)\{(.*)\}(.*)", match[0])
+                head, names, tail = alternatives.groups() if alternatives else (match[0], "", "")
                 for name in names.split(","):
-                    if "NAME" not in found[0] and not (ROOT / f"{head}{name}{tail}").exists():
+                    if "NAME" not in match[0] and not (ROOT / f"{head}{name}{tail}").exists():
                         missing.append(str(place))
     assert missing == []
 
@@ -157,11 +157,11 @@ def test_commands_and_their_options_are_there() -> None:
     unknown = []
     for place in lines_of("trackslip"):
         words = re.split(r" #|[;|]", place.text)[0].split()
-        asked = re.sub(r"\W+$", "", words[1])
-        if not asked or asked.startswith("-") or asked == "COMMAND":
+        command = re.sub(r"\W+$", "", words[1])
+        if not command or command.startswith("-") or command == "COMMAND":
             continue
-        if asked not in installed_commands() or not set(OPTION.findall(" ".join(words[2:]))) <= options_of(
-            asked
+        if command not in installed_commands() or not set(OPTION.findall(" ".join(words[2:]))) <= options_of(
+            command
         ) | {"--help"}:
             unknown.append(str(place))
     assert unknown == []
@@ -224,32 +224,32 @@ def test_parameter_names_are_recognised(node: str, name: str, there: bool) -> No
 
 
 def test_defaults_that_are_quoted_are_those_of_config() -> None:
-    there = _defaults()
+    defaults = _defaults()
     quoted = [
         (file.name, name, float(number) * UNITS[unit])
         for file in DOCUMENTS
         for name, number, unit in QUOTED.findall(" ".join(file.read_text(encoding="utf-8").split()))
-        if name in there
+        if name in defaults
     ]
     assert len(quoted) >= 8
-    assert [quote for quote in quoted if quote[2] not in there[quote[1]]] == []
+    assert [quote for quote in quoted if quote[2] not in defaults[quote[1]]] == []
 
 
 def _defaults() -> dict[str, set[float]]:
     """Numbers in config/ by the last part of their parameter's name."""
-    found: dict[str, set[float]] = {}
+    defaults: dict[str, set[float]] = {}
     for file in (ROOT / "config").glob("*.yaml"):
-        waiting = [yaml.safe_load(file.read_text(encoding="utf-8"))]
-        while waiting:
-            for name, value in waiting.pop().items():
+        trees = [yaml.safe_load(file.read_text(encoding="utf-8"))]
+        while trees:
+            for name, value in trees.pop().items():
                 if isinstance(value, dict):
-                    waiting.append(value)
+                    trees.append(value)
                 elif isinstance(value, (int, float)):
-                    found.setdefault(name, set()).add(float(value))
-    return found
+                    defaults.setdefault(name, set()).add(float(value))
+    return defaults
 
 
 def test_each_document_is_on_the_map() -> None:
     text = (ROOT / "docs/README.md").read_text(encoding="utf-8")
-    there = {file.name for file in DOCUMENTS if file.parent.name == "docs"} - {"README.md"}
-    assert [name for name in sorted(there) if f"({name})" not in text] == []
+    pages = {file.name for file in DOCUMENTS if file.parent.name == "docs"} - {"README.md"}
+    assert [name for name in sorted(pages) if f"({name})" not in text] == []

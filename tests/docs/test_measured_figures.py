@@ -17,7 +17,7 @@ from fixtures.documents import DOCUMENTS, ROOT, Document
 import make_numbers
 import reference_pages
 from measurements import CHEAP, MEASUREMENTS
-from measurements.blocks import blocks_of, names_on, rewritten, without_blocks
+from measurements.blocks import blocks_of, names_on, rewrite_blocks, without_blocks
 from measurements.workbench import NotMeasured
 
 WRITTEN = {  # whole pages, written by trackslip study and by make docs
@@ -48,11 +48,11 @@ def test_each_block_names_a_measurement_and_each_measurement_has_a_block() -> No
 def test_figures_from_files_in_the_tree_are_current(name: str) -> None:
     """The tolerance is one unit of the last digit: processors round differently."""
     page = names_on(lambda _: True)[name]
-    there = blocks_of(page.read_text(encoding="utf-8"))[name]
-    _, today, reason = make_numbers.measured(None, name)
+    on_page = blocks_of(page.read_text(encoding="utf-8"))[name]
+    _, measured, reason = make_numbers.measure_block(None, name)
     assert not reason
-    assert NUMBER.split(there) == NUMBER.split(today)
-    for old, new in zip(NUMBER.findall(there), NUMBER.findall(today), strict=True):
+    assert NUMBER.split(on_page) == NUMBER.split(measured)
+    for old, new in zip(NUMBER.findall(on_page), NUMBER.findall(measured), strict=True):
         assert float(old) == pytest.approx(float(new), abs=1.01 * 10.0 ** -len(old.partition(".")[2]))
 
 
@@ -61,13 +61,13 @@ def test_figure_that_cannot_be_measured_states_the_reason(monkeypatch: pytest.Mo
         raise NotMeasured("no log")
 
     monkeypatch.setattr(make_numbers, "MEASUREMENTS", {"a": fails})
-    assert make_numbers.measured(None, "a") == ("a", "", "no log")
+    assert make_numbers.measure_block(None, "a") == ("a", "", "no log")
 
 
 def test_a_block_is_rewritten_and_the_rest_stays() -> None:
     text = "before 1\n<!-- numbers: a -->\nold 2\n<!-- end of a -->\nafter 3\n"
     assert blocks_of(text) == {"a": "old 2\n"}
-    new = rewritten(text, {"a": "new 4\n", "b": "none 5\n"})
+    new = rewrite_blocks(text, {"a": "new 4\n", "b": "none 5\n"})
     assert new == text.replace("old 2", "new 4")
     assert without_blocks(text) == "before 1\n\n\n\nafter 3\n".replace("\n\n\n\n", "\n" + "\n" * 3)
 

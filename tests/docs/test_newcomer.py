@@ -15,7 +15,7 @@ from trackslip_tools.cli.main import main
 MOST = 10  # commands
 _SUGGESTED = re.compile(r"(?:next|machine of yours): (trackslip [^;\n]+)|see (trackslip --help)")
 _GUESSED = re.compile(r"^guessed: unit of (\w+): ", re.MULTILINE)
-MINE = {"LOG.csv": "log.csv"}  # replaced by the reader
+REPLACEMENTS = {"LOG.csv": "log.csv"}  # replaced by the reader
 UNITS = {"v_left": "km/h", "v_right": "km/h", "yaw_rate": "deg/s", "t": "s"}  # not part of the column names
 
 
@@ -46,10 +46,10 @@ def commands(
             printed = "".join(capsys.readouterr())
             assert code == 0 or line in ("trackslip", "trackslip check log_bag"), printed
             correct(tmp_path / "log_mapping.yaml", _GUESSED.findall(printed))
-            found = _SUGGESTED.search(" ".join(printed.split()) if "--help" in line else printed)
-            line = next(filter(None, found.groups())).strip() if found else ""
-            for theirs, mine in MINE.items():
-                line = line.replace(theirs, mine)
+            suggestion = _SUGGESTED.search(" ".join(printed.split()) if "--help" in line else printed)
+            line = next(filter(None, suggestion.groups())).strip() if suggestion else ""
+            for placeholder, value in REPLACEMENTS.items():
+                line = line.replace(placeholder, value)
 
     return run()
 

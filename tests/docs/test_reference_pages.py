@@ -16,8 +16,8 @@ GENERATED = ("index.md", "contributing.md", "vulnerabilities.md", "conduct.md", 
 
 @pytest.mark.parametrize("name", sorted(reference_pages.WRITTEN))
 def test_reference_page_is_current(name: str) -> None:
-    there = (ROOT / "docs" / name).read_text(encoding="utf-8")
-    assert there == reference_pages.page(name), "make docs writes it"
+    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    assert text == reference_pages.page(name), "make docs writes it"
 
 
 def test_each_node_has_its_parameters_on_the_page() -> None:
@@ -48,5 +48,5 @@ def test_a_bar_in_a_cell_is_no_border() -> None:
 def test_each_page_is_in_the_navigation() -> None:
     nav = re.sub(r"!\S+ ", "", (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2])
     listed = set(re.findall(r"[\w/-]+\.md", yaml.safe_dump(yaml.safe_load("nav:" + nav))))
-    there = {file.name for file in (ROOT / "docs").glob("*.md")} - {"README.md"}
-    assert {name for name in listed if "/" not in name} == there | set(GENERATED)
+    existing = {file.name for file in (ROOT / "docs").glob("*.md")} - {"README.md"}
+    assert {name for name in listed if "/" not in name} == existing | set(GENERATED)

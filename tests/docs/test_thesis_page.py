@@ -33,29 +33,29 @@ def is_importable(name: str) -> bool:
 
 def functions() -> list[str]:
     """Dotted names in the second column; a bare name belongs to the module named before it."""
-    found = []
+    names = []
     for row in ROWS:
         module = ""
         for span in re.findall(r"`([\w.]+)`", row[1]):
             if "." in span:
                 module = span.rpartition(".")[0]
-                found.append(span)
+                names.append(span)
             elif module:
-                found.append(f"{module}.{span}")
-    return found
+                names.append(f"{module}.{span}")
+    return names
 
 
 def named_tests() -> list[tuple[str, str]]:
     """File and name of each test in the last column."""
-    found, file = [], ""
+    tests, file = [], ""
     for row in ROWS:
         parts = re.split(r"`(tests/[\w/]+\.py)`|(values|soil laws|motion laws)(?= `)", row[-1])
         for path, short, text in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
             file = path or SHORT[short]
-            found += [(file, name) for name in re.findall(r"`(\w+)`", text)]
+            tests += [(file, name) for name in re.findall(r"`(\w+)`", text)]
         if len(parts) == 1 and "the same:" in row[-1]:
-            found += [(file, name) for name in re.findall(r"`(\w+)`", row[-1])]
-    return found
+            tests += [(file, name) for name in re.findall(r"`(\w+)`", row[-1])]
+    return tests
 
 
 @pytest.mark.parametrize("name", functions())

@@ -16,7 +16,7 @@ from fixtures.patience import PATIENCE, wait_for
 import setup_commands
 import setup_environment
 import setup_workspace
-from setup_commands import Command, SetupError, beside, read_stamp, run, write_file
+from setup_commands import Command, SetupError, in_parallel, read_stamp, run, write_file
 
 
 @pytest.fixture(autouse=True)
@@ -73,13 +73,13 @@ def runs(pid: Path) -> bool:
 @pytest.mark.parametrize("in_the_block", [False, True])
 def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool) -> None:
     pid = tmp_path / "pid"
-    sleeps = Command(["sh", "-c", f"echo $$ > {pid}; exec sleep 600"])
-    fails = Command(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"])
+    sleeping = Command(["sh", "-c", f"echo $$ > {pid}; exec sleep 600"])
+    failing = Command(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"])
 
     def work() -> None:
-        with beside([sleeps] if in_the_block else [sleeps, fails]):
+        with in_parallel([sleeping] if in_the_block else [sleeping, failing]):
             if in_the_block:
-                run(fails)
+                run(failing)
 
     with pytest.raises(SetupError):
         work()
@@ -87,7 +87,7 @@ def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool)
 
 
 def test_block_waits_for_its_parallel_commands(tmp_path: Path) -> None:
-    with beside([Command(["sh", "-c", f"sleep 0.2; touch {tmp_path / name}"]) for name in "ab"]):
+    with in_parallel([Command(["sh", "-c", f"sleep 0.2; touch {tmp_path / name}"]) for name in "ab"]):
         (tmp_path / "c").touch()
     assert {path.name for path in tmp_path.iterdir()} >= {"a", "b", "c"}
 
@@ -223,8 +223,8 @@ def test_set_up_resumes_after_an_interruption_at_any_step(
         with pytest.raises(KeyboardInterrupt):
             setup_workspace.set_up("", checks=False)
     setup_workspace.set_up("", checks=False)
-    kept = {"half"} if step == "build_workspace" else set()  # .venv is complete
-    assert {path.name for path in checkout.iterdir()} == {"made", "trackslip.json"} | kept
+    remaining = {"half"} if step == "build_workspace" else set()  # .venv is complete
+    assert {path.name for path in checkout.iterdir()} == {"made", "trackslip.json"} | remaining
     assert read_stamp(checkout / "trackslip.json")["digest"]
 
 

@@ -46,29 +46,29 @@ def read(wheel: Path, pattern: str) -> str:
 
 
 def test_wheel_has_every_file_that_commands_read(wheel: Path) -> None:
-    there = names(wheel)
+    packed = names(wheel)
     for file in (ROOT / "config").rglob("*"):
         if file.is_file():
-            assert f"trackslip_common/config/{file.relative_to(ROOT / 'config')}" in there
+            assert f"trackslip_common/config/{file.relative_to(ROOT / 'config')}" in packed
     for file in (ROOT / "src/trackslip_msgs/msg").glob("*.msg"):
-        assert f"trackslip_bags/share/trackslip_msgs/msg/{file.name}" in there
+        assert f"trackslip_bags/share/trackslip_msgs/msg/{file.name}" in packed
     assert {
         "trackslip/example/metadata.yaml",
         "trackslip/example/example_0.mcap",
         "trackslip/py.typed",
-    } <= there
-    assert "trackslip_tools/report/templates/page.html" in there
+    } <= packed
+    assert "trackslip_tools/report/templates/page.html" in packed
 
 
 def test_wheel_has_every_module_except_those_of_nodes(wheel: Path) -> None:
-    there = {name for name in names(wheel) if name.endswith(".py")}
+    packed = {name for name in names(wheel) if name.endswith(".py")}
     expected = {
         str(file.relative_to(package))
         for package in ROOT.glob("src/*")
         for file in (package / package.name).rglob("*.py")
         if "nodes" not in file.parts
     }
-    assert there == expected
+    assert packed == expected
 
 
 def test_wheel_needs_no_ros_and_all_libraries_that_its_modules_import(wheel: Path) -> None:

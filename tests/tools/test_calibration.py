@@ -37,7 +37,7 @@ LEAST_HITS = 34  # of 40: fewer have a probability of 0.3 % at a coverage of 95 
 
 
 @dataclass(frozen=True)
-class Made:
+class Drive:
     """Parameters of a synthetic drive."""
 
     per_radian: float = 0.1575  # r (1 − i₀), m
@@ -54,47 +54,46 @@ class Made:
     legs: Sequence[tuple[float, float, float]] = DRIVE
 
 
-def recorded(made: Made, seed: int) -> Recording:
+def recorded(drive: Drive, seed: int) -> Recording:
     """A synthetic drive: (3.17)–(3.20) with κ and i₀, sensors at their own rates, with noise."""
     rng, dt = np.random.default_rng(seed), 0.01
-    commands = np.concatenate([np.tile((left, right), (round(s / dt), 1)) for s, left, right in made.legs])
+    commands = np.concatenate([np.tile((left, right), (round(s / dt), 1)) for s, left, right in drive.legs])
     speeds = np.empty_like(commands)
     now = np.zeros(2)
     for k, command in enumerate(commands):
         now = now + dt / 0.15 * (command - now)
         speeds[k] = now
     t = np.arange(len(speeds)) * dt
-    rate = made.efficiency * RADIUS * (speeds[:, 1] - speeds[:, 0]) / TREAD
-    speed = made.per_radian * speeds.mean(axis=1) - 0.2 * RADIUS * np.abs(speeds[:, 1] - speeds[:, 0])
+    rate = drive.efficiency * RADIUS * (speeds[:, 1] - speeds[:, 0]) / TREAD
+    speed = drive.per_radian * speeds.mean(axis=1) - 0.2 * RADIUS * np.abs(speeds[:, 1] - speeds[:, 0])
     heading = np.cumsum(rate) * dt
     path = np.column_stack((np.cumsum(speed * np.cos(heading)), np.cumsum(speed * np.sin(heading)))) * dt
     angles = np.round(np.cumsum(speeds, axis=0) * dt / COUNT) * COUNT
-    at = np.arange(0.02, t[-1], 0.0844)
-    axis = np.array((-math.tan(made.pitch) / math.cos(made.roll), math.tan(made.roll), 1.0)) * made.scale
-    turned = np.interp(at - made.gyro_late, t, rate)[:, np.newaxis] * axis + (0.001, -0.002, made.bias)
-    fixed = np.arange(0.1, t[-1], 0.24)
-    seen = fixed - made.pose_late - made.gyro_late
-    poses = np.column_stack([np.interp(seen, t, column) for column in (*path.T, heading)])
-    poses += rng.normal(0.0, (0.03, 0.03, made.heading_noise), poses.shape)
-    claimed = np.tile(np.square((0.05, 0.05, 0.03)), (len(fixed), 1))  # conservative, as real sensors
-    pressures = 2.0e6 * speeds + made.offsets + rng.normal(0.0, 3e4, speeds.shape)
+    gyro_t = np.arange(0.02, t[-1], 0.0844)
+    axis = np.array((-math.tan(drive.pitch) / math.cos(drive.roll), math.tan(drive.roll), 1.0)) * drive.scale
+    rates = np.interp(gyro_t - drive.gyro_late, t, rate)[:, np.newaxis] * axis + (0.001, -0.002, drive.bias)
+    fix_t = np.arange(0.1, t[-1], 0.24)
+    true_t = fix_t - drive.pose_late - drive.gyro_late
+    poses = np.column_stack([np.interp(true_t, t, column) for column in (*path.T, heading)])
+    poses += rng.normal(0.0, (0.03, 0.03, drive.heading_noise), poses.shape)
+    variances = np.tile(np.square((0.05, 0.05, 0.03)), (len(fix_t), 1))  # conservative, as real sensors
+    pressures = 2.0e6 * speeds + drive.offsets + rng.normal(0.0, 3e4, speeds.shape)
     sprockets = Series(t, angles)
     return Recording(
-        f"drive {seed}",
         sprockets,
-        Series(at, turned + rng.normal(0.0, made.gyro_noise, turned.shape)),
-        Series(fixed, np.column_stack((poses, claimed))),
+        Series(gyro_t, rates + rng.normal(0.0, drive.gyro_noise, rates.shape)),
+        Series(fix_t, np.column_stack((poses, variances))),
         Series(t, np.column_stack((pressures, commands / 3.0))),
         motion_states(sprockets, P.motion),
     )
 
 
 @cache
-def calibrated(made: Made, seed: int, hard_ground: bool = False) -> Calibration:
-    return calibrate([recorded(made, seed)], P, SOURCES, hard_ground=hard_ground, everything=True)
+def calibrated(drive: Drive, seed: int, hard_ground: bool = False) -> Calibration:
+    return calibrate([recorded(drive, seed)], P, SOURCES, hard_ground=hard_ground, everything=True)
 
 
-TRUE: Mapping[str, Callable[[Made], float]] = {
+TRUE: Mapping[str, Callable[[Drive], float]] = {
     "gyro_bias": lambda m: m.bias,
     "gyro_scale": lambda m: m.scale,
     "pose_delay": lambda m: m.pose_late,
@@ -117,22 +116,26 @@ WIDEST |= {"turning_efficiency": 0.02, "effective_tread": 0.08}
 @pytest.mark.parametrize("name", TRUE)
 def test_intervals_have_their_stated_coverage(name: str) -> None:
     """The intervals are also narrow: half an interval is below its limit."""
-    made = Made()
-    found = [calibrated(made, seed).findings[name] for seed in range(RUNS)]
-    true = TRUE[name](made)
-    hits = sum(low <= true <= high for low, high in (f.interval or (math.nan, math.nan) for f in found))
+    drive = Drive()
+    findings = [calibrated(drive, seed).findings[name] for seed in range(RUNS)]
+    true = TRUE[name](drive)
+    hits = sum(low <= true <= high for low, high in (f.interval or (math.nan, math.nan) for f in findings))
     assert hits >= LEAST_HITS
-    assert np.median([half(f) for f in found]) < WIDEST[name]
-    values = np.array([f.value for f in found], dtype=np.float64)
-    assert half_of_median(found) < 4.0 * np.std(values)
+    assert np.median([half(f) for f in findings]) < WIDEST[name]
+    values = np.array([f.value for f in findings], dtype=np.float64)
+    assert half_of_median(findings) < 4.0 * np.std(values)
 
 
 def test_gyro_noise_does_not_bias_the_gyro_scale() -> None:
     """The noise between two headings is part of the rotation that the gyro measures."""
-    made = Made(gyro_noise=0.05, heading_noise=0.004)
-    found = [calibrated(made, seed).findings["gyro_scale"] for seed in range(10)]
-    assert np.mean([f.value for f in found if f.value is not None]) == pytest.approx(made.scale, abs=0.015)
-    assert sum(f.interval is not None and f.interval[0] <= made.scale <= f.interval[1] for f in found) >= 8
+    drive = Drive(gyro_noise=0.05, heading_noise=0.004)
+    findings = [calibrated(drive, seed).findings["gyro_scale"] for seed in range(10)]
+    assert np.mean([f.value for f in findings if f.value is not None]) == pytest.approx(
+        drive.scale, abs=0.015
+    )
+    assert (
+        sum(f.interval is not None and f.interval[0] <= drive.scale <= f.interval[1] for f in findings) >= 8
+    )
 
 
 def half(finding: Finding) -> float:
@@ -140,14 +143,14 @@ def half(finding: Finding) -> float:
     return (finding.interval[1] - finding.interval[0]) / 2.0
 
 
-def half_of_median(found: Sequence[Finding]) -> float:
-    return float(np.median([half(f) for f in found]))
+def half_of_median(findings: Sequence[Finding]) -> float:
+    return float(np.median([half(f) for f in findings]))
 
 
 def test_interval_of_the_gyro_delay_covers_the_lag_of_the_ground() -> None:
     for late in (0.06, -0.1):
         for ground in (0.0, 0.03):
-            finding = calibrated(Made(gyro_late=late + ground), 1).findings["gyro_delay"]
+            finding = calibrated(Drive(gyro_late=late + ground), 1).findings["gyro_delay"]
             assert finding.interval is not None
             assert finding.interval[0] <= late <= finding.interval[1]
             assert half(finding) < 0.03
@@ -155,11 +158,11 @@ def test_interval_of_the_gyro_delay_covers_the_lag_of_the_ground() -> None:
 
 @pytest.mark.parametrize("scale", [-0.97, 1.03])
 def test_gyro_upside_down_is_found_from_headings_and_from_tracks(scale: float) -> None:
-    one = recorded(Made(scale=scale), 2)
-    blind = replace(one, poses=Series(np.empty(0), np.empty((0, 6))))
-    for recording in (one, blind):
+    with_poses = recorded(Drive(scale=scale), 2)
+    without_poses = replace(with_poses, poses=Series(np.empty(0), np.empty((0, 6))))
+    for recording in (with_poses, without_poses):
         assert calibrate([recording], P, SOURCES).findings["gyro_sign"].value == math.copysign(1.0, scale)
-    assert calibrate([one], P, SOURCES).findings["gyro_scale"].value == pytest.approx(scale, abs=0.02)
+    assert calibrate([with_poses], P, SOURCES).findings["gyro_scale"].value == pytest.approx(scale, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +187,7 @@ def test_gyro_upside_down_is_found_from_headings_and_from_tracks(scale: float) -
 def test_unobservable_parameter_is_refused_with_a_reason(
     legs: Sequence[tuple[float, float, float]], names: Sequence[str], word: str
 ) -> None:
-    findings = calibrated(Made(legs=tuple(legs)), 3).findings
+    findings = calibrated(Drive(legs=tuple(legs)), 3).findings
     for name in names:
         assert not findings[name].has_value, name
         assert findings[name].reason
@@ -192,22 +195,24 @@ def test_unobservable_parameter_is_refused_with_a_reason(
 
 
 def test_missing_sensors_are_refused_too() -> None:
-    whole = recorded(Made(), 4)
+    whole = recorded(Drive(), 4)
     none = Series(np.empty(0), np.empty((0, 6)))
-    deaf = replace(whole, gyro=Series(none.t, np.empty((0, 3))), hydraulics=Series(none.t, np.empty((0, 4))))
-    found = calibrate([deaf], P, SOURCES).findings
-    assert {name for name, finding in found.items() if finding.has_value} == {
+    without_gyro = replace(
+        whole, gyro=Series(none.t, np.empty((0, 3))), hydraulics=Series(none.t, np.empty((0, 4)))
+    )
+    findings = calibrate([without_gyro], P, SOURCES).findings
+    assert {name for name, finding in findings.items() if finding.has_value} == {
         "effective_rolling_radius",
         "common_slip",
     }
-    lost = calibrate([replace(whole, poses=none)], P, SOURCES).findings
-    assert not lost["gyro_scale"].has_value
-    assert not lost["effective_rolling_radius"].has_value
-    assert "taken as 1" in lost["turning_efficiency"].basis
+    without_poses = calibrate([replace(whole, poses=none)], P, SOURCES).findings
+    assert not without_poses["gyro_scale"].has_value
+    assert not without_poses["effective_rolling_radius"].has_value
+    assert "taken as 1" in without_poses["turning_efficiency"].basis
 
 
 def test_radius_and_slip_are_separated_only_by_an_option() -> None:
-    soft, hard = (calibrated(Made(), 5, hard_ground) for hard_ground in (False, True))
+    soft, hard = (calibrated(Drive(), 5, hard_ground) for hard_ground in (False, True))
     assert not soft.findings["rolling_radius"].has_value
     assert "hard-ground" in soft.findings["rolling_radius"].reason
     assert hard.findings["rolling_radius"].value == soft.findings["effective_rolling_radius"].value
@@ -224,9 +229,9 @@ def test_radius_and_slip_are_separated_only_by_an_option() -> None:
 
 def test_confirmed_parameters_are_not_written() -> None:
     """Only values whose interval excludes the present value are written, unless all are requested."""
-    made = Made()
-    of_news, whole = (
-        calibrate([recorded(made, 7)], P, SOURCES, hard_ground=True, everything=everything)
+    drive = Drive()
+    only_new, everything_new = (
+        calibrate([recorded(drive, 7)], P, SOURCES, hard_ground=True, everything=everything)
         for everything in (False, True)
     )
     for name, present in (
@@ -234,50 +239,50 @@ def test_confirmed_parameters_are_not_written() -> None:
         ("gyro_scale", P.gyros()["imu/data_raw"].scale),
         ("rolling_radius", P.vehicle.kinematics.rolling_radius),
     ):
-        low, high = of_news.findings[name].interval or (math.nan, math.nan)
-        assert (name in of_news.confirmed) == (low <= present <= high)
-    assert "gyro_sign" in of_news.confirmed
-    assert "sources.imu_data_raw.sign" in whole.parameters[NODE]
-    assert "sources.imu_data_raw.sign" not in of_news.parameters.get(NODE, {})
-    assert whole.confirmed == ()
-    assert "gyro_sign" in text(of_news).splitlines()[-1]
+        low, high = only_new.findings[name].interval or (math.nan, math.nan)
+        assert (name in only_new.confirmed) == (low <= present <= high)
+    assert "gyro_sign" in only_new.confirmed
+    assert "sources.imu_data_raw.sign" in everything_new.parameters[NODE]
+    assert "sources.imu_data_raw.sign" not in only_new.parameters.get(NODE, {})
+    assert everything_new.confirmed == ()
+    assert "gyro_sign" in text(only_new).splitlines()[-1]
 
 
 def test_bad_headings_and_gaps_have_no_effect() -> None:
     """One heading in forty is off by a quarter turn, others have a large variance, and the gyro has gaps."""
-    made = Made()
-    whole = recorded(made, 6)
+    drive = Drive()
+    whole = recorded(drive, 6)
     poses = whole.poses.values.copy()
     poses[::40, 2] += math.pi / 2.0
     poses[20::50, 2], poses[20::50, 5] = 3.0, 1.0
-    kept = (whole.gyro.t < 20.0) | (whole.gyro.t > 23.0)
-    gyro = Series(whole.gyro.t[kept], whole.gyro.values[kept])
+    is_kept = (whole.gyro.t < 20.0) | (whole.gyro.t > 23.0)
+    gyro = Series(whole.gyro.t[is_kept], whole.gyro.values[is_kept])
     damaged = replace(whole, poses=Series(whole.poses.t, poses), gyro=gyro)
-    found = calibrate([damaged], P, SOURCES).findings
+    findings = calibrate([damaged], P, SOURCES).findings
     for name in ("gyro_scale", "pose_delay", "turning_efficiency"):
-        low, high = found[name].interval or (math.nan, math.nan)
-        assert low <= TRUE[name](made) <= high, name
+        low, high = findings[name].interval or (math.nan, math.nan)
+        assert low <= TRUE[name](drive) <= high, name
         assert high - low < 8.0 * WIDEST[name], name
 
 
 def test_oil_trapped_at_a_stop_does_not_bias_the_offset() -> None:
     """A stall that ends with closed spools leaves pressure in the lines throughout the standstill."""
-    made = Made(legs=(*DRIVE, STRAIGHT, (3.0, 0.0, 0.0)))
-    whole = recorded(made, 11)
+    drive = Drive(legs=(*DRIVE, STRAIGHT, (3.0, 0.0, 0.0)))
+    whole = recorded(drive, 11)
     values = whole.hydraulics.values.copy()
     values[whole.hydraulics.t > whole.hydraulics.t[-1] - 3.0, :2] += (4.0e6, -4.0e6)
-    found = calibrate([replace(whole, hydraulics=Series(whole.hydraulics.t, values))], P, SOURCES).findings
+    findings = calibrate([replace(whole, hydraulics=Series(whole.hydraulics.t, values))], P, SOURCES).findings
     for name in ("left_pressure_offset", "right_pressure_offset"):
-        low, high = found[name].interval or (math.nan, math.nan)
-        assert low <= TRUE[name](made) <= high, name
+        low, high = findings[name].interval or (math.nan, math.nan)
+        assert low <= TRUE[name](drive) <= high, name
         assert high - low < 2.0 * WIDEST[name], name
 
 
 def test_more_bags_narrow_the_intervals() -> None:
-    recordings = [recorded(Made(), seed) for seed in range(4)]
-    all_of_them, one = (calibrate(r, P, SOURCES).findings for r in (recordings, recordings[:1]))
+    recordings = [recorded(Drive(), seed) for seed in range(4)]
+    of_all, of_one = (calibrate(r, P, SOURCES).findings for r in (recordings, recordings[:1]))
     for name in ("gyro_scale", "effective_rolling_radius", "left_pressure_offset"):
-        assert half(all_of_them[name]) < 0.8 * half(one[name])
+        assert half(of_all[name]) < 0.8 * half(of_one[name])
 
 
 @given(
@@ -293,8 +298,8 @@ def test_a_value_is_rounded_to_its_interval(value: float, half: float) -> None:
 
 
 def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
-    made = Made(scale=-0.985)
-    calibration = calibrated(made, 7, hard_ground=True)
+    drive = Drive(scale=-0.985)
+    calibration = calibrated(drive, 7, hard_ground=True)
     path = tmp_path / "calibration.yaml"
     write_parameters(path, calibration, ["one", "two"])
     tree = read_yaml(path)
@@ -303,9 +308,9 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     gyro = p.gyros()["imu/data_raw"]
     assert gyro.sign == -1
     assert gyro.scale == pytest.approx(0.985, abs=0.02)
-    assert p.turning.initial_efficiency == pytest.approx(made.efficiency, abs=0.02)
-    assert tree["watson_imu"]["ros__parameters"]["time_offset"] == pytest.approx(-made.gyro_late, abs=0.03)
-    late = made.gyro_late + made.pose_late
+    assert p.turning.initial_efficiency == pytest.approx(drive.efficiency, abs=0.02)
+    assert tree["watson_imu"]["ros__parameters"]["time_offset"] == pytest.approx(-drive.gyro_late, abs=0.03)
+    late = drive.gyro_late + drive.pose_late
     assert tree["sick_pls"]["ros__parameters"]["time_offset"] == pytest.approx(-late, abs=0.06)
     evidence = path.read_text(encoding="utf-8")
     assert all(f"# {line}" in evidence for line in text(calibration).splitlines())
@@ -342,11 +347,9 @@ def test_increments_separate_walk_and_reading_noise() -> None:
     for _ in range(100):
         x = np.cumsum(rng.uniform(0.0, 1.0, 80))
         y = 2.0 * x + np.cumsum(rng.normal(0.0, 0.05, 80)) + rng.normal(0.0, 0.5, 80)
-        claimed = np.ones(79)
+        ones = np.ones(79)
         joined = np.arange(79) > 0
-        fit = fit_increments(
-            np.diff(x)[:, np.newaxis], Increments(np.diff(y), claimed, claimed, claimed, joined)
-        )
+        fit = fit_increments(np.diff(x)[:, np.newaxis], Increments(np.diff(y), ones, ones, ones, joined))
         assert fit is not None
         hits += abs(fit.values[0] - 2.0) <= fit.half_width()
         spreads.append(fit.half_width())

@@ -56,26 +56,25 @@ def drive(soil: str) -> Truth:
 def recorded(machine: Machine) -> Recording:
     """The drive with an additional rotation of ε per metre of sprocket travel."""
     truth, rng = drive(machine.soil), np.random.default_rng(machine.seed)
-    t, at, fixed = (np.arange(0.1, SECONDS - 0.1, period) for period in (0.01, 0.0844, 0.24))
-    driven = truth.interpolate(t)
-    angles = np.column_stack((driven.left_angle, driven.right_angle))
-    turned = machine.asymmetry * P.vehicle.kinematics.rolling_radius * angles.mean(axis=1)
-    heading = driven.yaw + turned
-    velocity = (driven.v_x + 1j * driven.v_y) * np.exp(1j * heading)
-    place = np.concatenate(([0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2.0 * np.diff(t))))
-    rates = np.zeros((len(at), 3))
-    rate = np.interp(at, t, driven.yaw_rate + np.gradient(turned, t))
-    rates[:, 2] = machine.scale * rate + machine.bias + rng.normal(0.0, GYRO_NOISE, len(at))
-    columns = place.real, place.imag, heading
-    poses = np.column_stack([np.interp(fixed, t, column) for column in columns])
+    t, gyro_times, fix_times = (np.arange(0.1, SECONDS - 0.1, period) for period in (0.01, 0.0844, 0.24))
+    states = truth.interpolate(t)
+    angles = np.column_stack((states.left_angle, states.right_angle))
+    turn = machine.asymmetry * P.vehicle.kinematics.rolling_radius * angles.mean(axis=1)
+    heading = states.yaw + turn
+    velocity = (states.v_x + 1j * states.v_y) * np.exp(1j * heading)
+    positions = np.concatenate(([0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2.0 * np.diff(t))))
+    rates = np.zeros((len(gyro_times), 3))
+    rate = np.interp(gyro_times, t, states.yaw_rate + np.gradient(turn, t))
+    rates[:, 2] = machine.scale * rate + machine.bias + rng.normal(0.0, GYRO_NOISE, len(gyro_times))
+    columns = positions.real, positions.imag, heading
+    poses = np.column_stack([np.interp(fix_times, t, column) for column in columns])
     poses += rng.normal(0.0, FIX_NOISE, poses.shape)
-    claimed = np.tile(np.square(FIX_NOISE), (len(fixed), 1))
+    variances = np.tile(np.square(FIX_NOISE), (len(fix_times), 1))
     sprockets = Series(t, np.round(angles / P.encoder_resolution) * P.encoder_resolution)
     return Recording(
-        machine.soil,
         sprockets,
-        Series(at, rates),
-        Series(fixed, np.column_stack((poses, claimed))),
+        Series(gyro_times, rates),
+        Series(fix_times, np.column_stack((poses, variances))),
         Series(np.empty(0), np.empty((0, 4))),
         motion_states(sprockets, P.motion),
     )
@@ -99,8 +98,8 @@ def calibrated(machine: Machine) -> Calibration:
 def learned(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance of the state at the end of the drive."""
     estimator = SlipEstimator(P)
-    given = sorted(measurements(recorded(machine)), key=lambda m: m.stamp_ns)
-    estimator.process_records(to_records(given, estimator.sources))
+    in_order = sorted(measurements(recorded(machine)), key=lambda m: m.stamp_ns)
+    estimator.process_records(to_records(in_order, estimator.sources))
     last = estimator.window.best[int(estimator.window.status["count"][0]) - 1]
     return last["mean"], last["covariance"]
 

@@ -60,16 +60,16 @@ def write_csv(folder: Path, log: Log) -> Path:
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_csv(tmp_path_factory.mktemp("healthy"), make_drive())
-    return import_it(folder)
+    return import_drive(folder)
 
 
 @pytest.fixture(scope="module")
 def swapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log = make_drive().with_tracks(np.array(((0.0, 1.0), (1.0, 0.0))))
-    return import_it(write_csv(tmp_path_factory.mktemp("swapped"), log))
+    return import_drive(write_csv(tmp_path_factory.mktemp("swapped"), log))
 
 
-def import_it(folder: Path) -> Path:
+def import_drive(folder: Path) -> Path:
     bag = folder / "bag"
     options = ("--mapping", str(folder / "mapping.yaml"), "--output", str(bag))
     logs = [str(folder / name) for name in ("tracks.csv", "imu.csv", "gnss.csv")]
@@ -90,21 +90,21 @@ def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: st
         header=",".join(table.dtype.names),
         comments="",
     )
-    found = json_of(tmp_path, "check", import_it(folder), code=ExitCode.FAILED)
-    assert "source_delay" in {cause["cause"] for cause in found["causes"]}
-    assert any("no time in common" in cause["evidence"] for cause in found["causes"])
+    result = json_of(tmp_path, "check", import_drive(folder), code=ExitCode.FAILED)
+    assert "source_delay" in {cause["cause"] for cause in result["causes"]}
+    assert any("no time in common" in cause["evidence"] for cause in result["causes"])
 
 
 def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
-    found = json_of(tmp_path, "check", healthy)
-    assert found["plausible"] is True
-    assert found["causes"] == []
+    result = json_of(tmp_path, "check", healthy)
+    assert result["plausible"] is True
+    assert result["causes"] == []
 
 
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:
-    found = json_of(tmp_path, "check", swapped, code=ExitCode.FAILED)
-    assert found["plausible"] is False
-    (cause,) = found["causes"]
+    result = json_of(tmp_path, "check", swapped, code=ExitCode.FAILED)
+    assert result["plausible"] is False
+    (cause,) = result["causes"]
     assert cause.keys() == {"cause", "source", "evidence", "odds", "remedy"}
     assert (cause["cause"], cause["source"]) == ("tracks_swapped", "sprockets")
     assert cause["odds"] >= 100.0
@@ -115,10 +115,10 @@ def test_ambiguous_mistake_fails_the_check(tmp_path: Path) -> None:
     log = make_drive()
     (fixes,) = log.fixes
     in_feet = replace(log, fixes=(replace(fixes, places=fixes.places / 0.3048),))
-    bag = import_it(write_csv(tmp_path, in_feet))
-    found = json_of(tmp_path, "check", bag, code=ExitCode.FAILED)
-    assert (found["plausible"], found["causes"]) == (False, [])
-    assert any("feet" in one["what"] for one in found["undetermined"])
+    bag = import_drive(write_csv(tmp_path, in_feet))
+    result = json_of(tmp_path, "check", bag, code=ExitCode.FAILED)
+    assert (result["plausible"], result["causes"]) == (False, [])
+    assert any("feet" in one["what"] for one in result["undetermined"])
     assert main(["replay", str(bag), "--stop", "60"]) == ExitCode.FAILED
     assert main(["replay", str(bag), "--stop", "60", "--force"]) == ExitCode.DONE
 
@@ -173,7 +173,7 @@ def test_calibrate_measures_the_lever_arm_of_an_antenna_without_heading(
 def test_an_import_ends_with_distances_turns_and_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import_it(write_csv(tmp_path, make_drive()))
+    import_drive(write_csv(tmp_path, make_drive()))
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].startswith("next: trackslip replay")
     assert any(line.startswith("distance: ") for line in lines)
@@ -182,7 +182,7 @@ def test_an_import_ends_with_distances_turns_and_the_next_command(
 
 @pytest.mark.parametrize("files", [[], ["a.yaml"], ["a.yaml", "b.yaml"]])
 def test_the_next_command_has_all_parameter_files(files: list[str]) -> None:
-    given = Namespace(vehicle="pc05", namespace="", set=["slip_estimator.max_gap=3"], params=files)
-    words = shared_options.next_command_options(given)
+    options = Namespace(vehicle="pc05", namespace="", set=["slip_estimator.max_gap=3"], params=files)
+    words = shared_options.next_command_options(options)
     assert words[:4] == ["--vehicle", "pc05", "--set", "slip_estimator.max_gap=3"]
     assert words[4:] == (["--params", *files] if files else [])

@@ -41,14 +41,14 @@ def test_each_ends_with_an_example_that_parses(command: str, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("asked", "hint"),
+    ("command", "hint"),
     [("repaly", ", did you mean 'replay'?"), ("xyzzy", ""), ("inf", ", did you mean 'info'?")],
 )
 def test_an_unknown_command_is_refused_in_one_line(
-    asked: str, hint: str, capsys: pytest.CaptureFixture[str]
+    command: str, hint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main([asked, "bag"]) == ExitCode.BAD_INPUT
-    assert capsys.readouterr().err == f"trackslip: no command '{asked}'{hint} (see trackslip --help)\n"
+    assert cli.main([command, "bag"]) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err == f"trackslip: no command '{command}'{hint} (see trackslip --help)\n"
 
 
 HEAVY = {"numba", "scipy", "rich", "bokeh", "matplotlib", "dask"}

@@ -27,24 +27,25 @@ Summary = Callable[..., dict[str, Any]]
 KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_time_factor"}
 
 
-def without_time(found: dict[str, Any]) -> dict[str, Any]:
+def without_time(result: dict[str, Any]) -> dict[str, Any]:
     """A summary without its duration; means are rounded, as their last digit depends on the batches."""
-    kept = {name: value for name, value in found.items() if name != "real_time_factor"}
-    kept["rmse"] = {name: value and round(value, 9) for name, value in kept["rmse"].items()}
-    return kept | {name: round(kept[name], 9) for name in ("nees", "nees_position") if kept.get(name)}
+    rest = {name: value for name, value in result.items() if name != "real_time_factor"}
+    rest["rmse"] = {name: value and round(value, 9) for name, value in rest["rmse"].items()}
+    return rest | {name: round(rest[name], 9) for name in ("nees", "nees_position") if rest.get(name)}
 
 
 def test_the_summary_has_the_keys_of_the_contract(bag: Path, summary: Summary) -> None:
-    found = summary(bag)
-    assert found.keys() >= KEYS
-    assert found["final"].keys() == {"x", "y", "yaw", "left_slip", "right_slip"}
-    assert found["rmse"].keys() >= {"dead_reckoning", "encoder_gyro", "filter", "heading"}
-    assert found["messages"] == {"sprockets": 501, "imu/data_raw": 100, "box_pose": 51, "reference_pose": 501}
-    assert found["duration_s"] == pytest.approx(10.0)
-    assert found["real_time_factor"] > 0.0
-    assert found["reference"] == "reference_pose"
-    assert set(found["rejected"]) <= {"sprockets", "imu/data_raw", "box_pose"}
-    assert {reason for reasons in found["rejected"].values() for reason in reasons} == {"waiting"}
+    result = summary(bag)
+    assert result.keys() >= KEYS
+    assert result["final"].keys() == {"x", "y", "yaw", "left_slip", "right_slip"}
+    assert result["rmse"].keys() >= {"dead_reckoning", "encoder_gyro", "filter", "heading"}
+    counts = {"sprockets": 501, "imu/data_raw": 100, "box_pose": 51, "reference_pose": 501}
+    assert result["messages"] == counts
+    assert result["duration_s"] == pytest.approx(10.0)
+    assert result["real_time_factor"] > 0.0
+    assert result["reference"] == "reference_pose"
+    assert set(result["rejected"]) <= {"sprockets", "imu/data_raw", "box_pose"}
+    assert {reason for reasons in result["rejected"].values() for reason in reasons} == {"waiting"}
 
 
 def test_the_filter_beats_dead_reckoning(
@@ -91,16 +92,16 @@ def test_sqlite_replays_as_mcap(bag: Path, tmp_path: Path, lines: list[Any], sum
 
 
 def test_a_window_cuts_by_log_time(bag: Path, summary: Summary) -> None:
-    found = summary(bag, "--start", "2", "--stop", "5")
-    assert found["messages"]["sprockets"] == 150
-    assert found["duration_s"] == pytest.approx(3.0, abs=0.35)
+    result = summary(bag, "--start", "2", "--stop", "5")
+    assert result["messages"]["sprockets"] == 150
+    assert result["duration_s"] == pytest.approx(3.0, abs=0.35)
 
 
 def test_window_beyond_the_bag_has_no_estimate(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = summary(bag, "--start", "1000", code=ExitCode.FAILED)
-    assert (found["final"], found["messages"], found["nees"]) == (None, {}, None)
+    result = summary(bag, "--start", "1000", code=ExitCode.FAILED)
+    assert (result["final"], result["messages"], result["nees"]) == (None, {}, None)
     assert "no estimate" in capsys.readouterr().out
 
 
@@ -115,13 +116,13 @@ def test_withheld_fixes_are_scored_and_not_used(bag: Path, summary: Summary) -> 
 def test_withheld_messages_are_counted_and_their_errors_stated(
     bag: Path, summary: Summary, printed: Callable[[], str]
 ) -> None:
-    found = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:2:6")
-    poses, rates = found["withheld"]
+    result = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:2:6")
+    poses, rates = result["withheld"]
     assert (poses["topic"], poses["messages"]) == ("box_pose", 25)
     assert (rates["topic"], rates["messages"]) == ("imu/data_raw", 40)
     assert 0.0 < poses["rmse"] < 1.0
     assert 0.0 < poses["end"] < 1.0
-    assert found["rmse"]["withheld"] == {"rmse": rates["rmse"], "end": rates["end"]}
+    assert result["rmse"]["withheld"] == {"rmse": rates["rmse"], "end": rates["end"]}
     words = f"withheld: 25 messages of box_pose from 4 to 9 s; position off by {poses['rmse']:.4f} m"
     assert words in printed()
     assert summary(bag)["withheld"] == []
@@ -140,9 +141,9 @@ def test_an_output_that_exists_is_refused_before_the_work(
 
 
 def test_another_reference_is_scored_whole(bag: Path, summary: Summary) -> None:
-    found = summary(bag, "--reference", "box_pose")
-    assert found["reference"] == "box_pose"
-    assert found["rmse"]["filter"] != summary(bag)["rmse"]["filter"]
+    result = summary(bag, "--reference", "box_pose")
+    assert result["reference"] == "box_pose"
+    assert result["rmse"]["filter"] != summary(bag)["rmse"]["filter"]
 
 
 def test_a_remapped_topic_is_the_source(
@@ -210,8 +211,8 @@ def test_json_has_null_for_nan_and_infinity(
         return {"final": {"x": float("nan")}, "K_interval": [0.1, float("inf")], "nees": None, "n": 3}
 
     monkeypatch.setattr("trackslip_tools.cli.replay_command.summary", broken)
-    found = summary(bag)
-    assert found == {"final": {"x": None}, "K_interval": [0.1, None], "nees": None, "n": 3}
+    result = summary(bag)
+    assert result == {"final": {"x": None}, "K_interval": [0.1, None], "nees": None, "n": 3}
 
 
 def test_the_installed_program_helps() -> None:

@@ -36,19 +36,19 @@ def live(
     lines: list[Line], p: SlipEstimatorParameters, learned: Learned | None = None
 ) -> tuple[list[Line], SlipEstimator]:
     """The messages of an estimator that receives the lines without delay."""
-    estimator, local, found = SlipEstimator(p, learned=learned), LocalOdometry(), []
-    given = sorted(lines, key=lambda line: line.log_ns)
-    started = {} if learned is None else {"learned": to_tree(learned, estimator.learned_context)}
-    text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **started))
-    found.append(Line(given[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
-    for sequence, line in enumerate(given):
+    estimator, local, messages = SlipEstimator(p, learned=learned), LocalOdometry(), []
+    in_order = sorted(lines, key=lambda line: line.log_ns)
+    learned_section = {} if learned is None else {"learned": to_tree(learned, estimator.learned_context)}
+    text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **learned_section))
+    messages.append(Line(in_order[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
+    for sequence, line in enumerate(in_order):
         report, estimate = estimator.process(measurement(line, p))
         outputs = [] if estimate is None else [(t, estimate) for t in (ODOMETRY, TRACK_SLIP)]
         outputs += [] if estimate is None else [(LOCAL_ODOMETRY, local.estimate_in_odom(estimate))]
-        messages = [(topic, message_of(topic, of, p)) for topic, of in outputs]
-        messages.append((REPORTS, conversions.measurement_report(make, report, sequence)))
-        found += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in messages]
-    return found, estimator
+        of_line = [(topic, message_of(topic, of, p)) for topic, of in outputs]
+        of_line.append((REPORTS, conversions.measurement_report(make, report, sequence)))
+        messages += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in of_line]
+    return messages, estimator
 
 
 def measurement(line: Line, p: SlipEstimatorParameters) -> Any:
@@ -100,8 +100,8 @@ def compare(bag_of: Callable[[Iterable[Line]], Path], summary: Callable[..., dic
     """A function that replays a bag of lines; returns whether estimates match, and the compared parts."""
 
     def replayed(run: Iterable[Line], *options: str) -> tuple[bool | None, dict[str, Any]]:
-        found = summary(bag_of(run), *options)
-        return found["replay_matches"], found["replay_compared"]
+        result = summary(bag_of(run), *options)
+        return result["replay_matches"], result["replay_compared"]
 
     return replayed
 
@@ -190,8 +190,8 @@ def test_bag_that_begins_after_the_estimator_is_not_compared(
 
 def test_measurements_before_the_first_fix_may_be_missing(inputs: list[Line], compare: Compare) -> None:
     """A recorder discovers topics one after the other; the first fix arrives later."""
-    given = without(inputs, "box_pose", 0.0, 2.0)
-    run = [*given, *live(given, load_slip_parameters())[0]]
+    remaining = without(inputs, "box_pose", 0.0, 2.0)
+    run = [*remaining, *live(remaining, load_slip_parameters())[0]]
     late = without(without(run, "sprockets", -1.0, 0.8), REPORTS, -1.0, 0.4)
     matches, compared = compare(late)
     assert matches is True
@@ -253,6 +253,6 @@ def test_replay_of_two_runs_writes_both(
     _, second = sorted(m.log_time_ns for m in written if m.topic == f"/{PARAMETERS_TOPIC}")
     written.sort(key=lambda m: m.log_time_ns >= second)
     both = write_lines(tmp_path / "both", inputs, written)
-    found = json_of(tmp_path, "replay", both)
-    assert found["replay_matches"] is True
-    assert len(found["replay_compared"]["parts"]) == 2
+    result = json_of(tmp_path, "replay", both)
+    assert result["replay_matches"] is True
+    assert len(result["replay_compared"]["parts"]) == 2

@@ -34,15 +34,17 @@ def odometry(stamps: Any, **changes: Any) -> Rows:
 
 def compared(live: Rows, replayed: Rows, pieces: int = 1, **counts: Any) -> LiveComparison:
     comparer = LiveComparer()
-    for one, other in zip(np.array_split(live, pieces), np.array_split(replayed, pieces), strict=True):
-        comparer.add(ODOMETRY, one, other)
+    for live_part, replayed_part in zip(
+        np.array_split(live, pieces), np.array_split(replayed, pieces), strict=True
+    ):
+        comparer.add(ODOMETRY, live_part, replayed_part)
     return comparer.result(JournalCounts(**counts))
 
 
 def test_the_same_matches() -> None:
-    found = compared(odometry(range(100)), odometry(range(100)))
-    assert found == LiveComparison(100, 0, 0.0, 0, 0)
-    assert found.matches
+    comparison = compared(odometry(range(100)), odometry(range(100)))
+    assert comparison == LiveComparison(100, 0, 0.0, 0, 0)
+    assert comparison.matches
 
 
 def test_empty_runs_do_not_match() -> None:
@@ -51,15 +53,15 @@ def test_empty_runs_do_not_match() -> None:
 
 @pytest.mark.parametrize("name", [*FIELDS, "covariance", "twist_covariance"])
 def test_difference_in_any_number_is_found(name: str) -> None:
-    found = compared(odometry(range(100)), odometry(range(100), **{name: 1e-3}))
-    assert found.largest_difference == pytest.approx(1e-3)
-    assert not found.matches
-    assert f"1.0e-03 in {name} of odometry" in str(found)
+    comparison = compared(odometry(range(100)), odometry(range(100), **{name: 1e-3}))
+    assert comparison.largest_difference == pytest.approx(1e-3)
+    assert not comparison.matches
+    assert f"1.0e-03 in {name} of odometry" in str(comparison)
 
 
 def test_heading_difference_is_the_shorter_angle() -> None:
-    found = compared(odometry(range(9)), odometry(range(9), heading=2.0 * math.pi - 1e-4))
-    assert found.largest_difference == pytest.approx(1e-4)
+    comparison = compared(odometry(range(9)), odometry(range(9), heading=2.0 * math.pi - 1e-4))
+    assert comparison.largest_difference == pytest.approx(1e-4)
 
 
 def test_nan_on_one_side_is_an_infinite_difference() -> None:
@@ -82,8 +84,8 @@ def test_unmatched_estimates_are_counted_within_the_live_run() -> None:
 def test_estimates_after_the_last_journal_line_are_not_compared() -> None:
     live, replayed = odometry(range(100)), odometry(range(90))
     assert compared(live, replayed).unmatched == 10
-    found = compared(live, replayed, last_sprockets_ns=89 * STEP_NS)
-    assert (found.compared, found.unmatched) == (90, 0)
+    comparison = compared(live, replayed, last_sprockets_ns=89 * STEP_NS)
+    assert (comparison.compared, comparison.unmatched) == (90, 0)
 
 
 @pytest.mark.parametrize("pieces", [2, 7, 50])

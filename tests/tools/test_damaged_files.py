@@ -112,10 +112,10 @@ def test_a_damaged_file_is_refused_in_one_line_and_nothing_is_written(
 @pytest.mark.parametrize("name", FILES)
 def test_a_damaged_file_in_the_place_of_one_that_a_node_keeps_is_not_used(place: Path, name: str) -> None:
     file = Path(shutil.copy(FOLDER / name, place))
-    kept, track = StateFile(str(file)), TrackFile(str(file))
-    assert kept.read(MACHINE) is None
+    state, track = StateFile(str(file)), TrackFile(str(file))
+    assert state.read(MACHINE) is None
     assert track.read() is None
-    for note in (kept.note, track.failure):
+    for note in (state.note, track.failure):
         assert name in note
         assert note.isprintable()
     assert file.read_bytes() == (FOLDER / name).read_bytes()

@@ -26,12 +26,12 @@ def vehicle() -> Kinematics:
 def samples(
     left: float, right: float, seconds: float, positions: bool = True, period_ms: int = 10
 ) -> list[Sprockets]:
-    found = []
+    sprockets = []
     for k in range(round(seconds * 1e3 / period_ms) + 1):
         t = k * period_ms * 1e-3
         angles = (7.0 + left * t, -3.0 + right * t) if positions else None
-        found.append(Sprockets("sprockets", EPOCH_NS + k * period_ms * MS, left, right, angles))
-    return found
+        sprockets.append(Sprockets("sprockets", EPOCH_NS + k * period_ms * MS, left, right, angles))
+    return sprockets
 
 
 def reckoned(
@@ -115,18 +115,18 @@ def test_a_measured_speed_is_that_of_the_time_before_it() -> None:
 
 
 def test_positions_are_preferred_to_speeds() -> None:
-    lying = [replace(s, left_speed=9.0, right_speed=-9.0) for s in samples(1.0, 1.0, 1.0)]
-    path = reckoned(lying, EPOCH_NS, ORIGIN)
+    with_wrong_speeds = [replace(s, left_speed=9.0, right_speed=-9.0) for s in samples(1.0, 1.0, 1.0)]
+    path = reckoned(with_wrong_speeds, EPOCH_NS, ORIGIN)
     np.testing.assert_allclose(path.poses[-1], (0.2, 0.0, 0.0), atol=1e-9)
 
 
 def test_a_path_between_samples_is_linear_and_unknown_outside() -> None:
     stamps = np.array((EPOCH_NS, EPOCH_NS + 100 * MS), dtype=np.int64)
     path = Path(stamps, np.array(((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))))
-    asked = EPOCH_NS + np.array((-1, 0, 25, 100, 101), dtype=np.int64) * MS
-    found = path.poses_at(asked)
-    np.testing.assert_allclose(found[1:4], ((0.0, 0.0, 0.0), (0.25, 0.5, 0.75), (1.0, 2.0, 3.0)), atol=1e-9)
-    assert np.isnan(found[[0, 4]]).all()
+    stamps_ns = EPOCH_NS + np.array((-1, 0, 25, 100, 101), dtype=np.int64) * MS
+    poses = path.poses_at(stamps_ns)
+    np.testing.assert_allclose(poses[1:4], ((0.0, 0.0, 0.0), (0.25, 0.5, 0.75), (1.0, 2.0, 3.0)), atol=1e-9)
+    assert np.isnan(poses[[0, 4]]).all()
 
 
 def test_non_finite_measurements_are_ignored() -> None:

@@ -22,8 +22,8 @@ def fixes(count: int, period_ms: float, source: str = "box_pose", latency_ms: in
     """Fixes at the origin, stamped ``latency_ms`` before their log times."""
     covariance = np.array(((4.0, 1.0, 0.5), (1.0, 4.0, 0.5), (0.5, 0.5, 1.0)))
     times_ns = [ORIGIN_NS + round(k * period_ms * MS) for k in range(count)]
-    given = [(t, PoseFix(source, t - latency_ms * MS, np.zeros(3), covariance)) for t in times_ns]
-    return rows_of(given, SOURCES)
+    arrivals = [(t, PoseFix(source, t - latency_ms * MS, np.zeros(3), covariance)) for t in times_ns]
+    return rows_of(arrivals, SOURCES)
 
 
 def apply(filters: InputFilters, arrivals: Rows) -> Rows:
@@ -32,8 +32,8 @@ def apply(filters: InputFilters, arrivals: Rows) -> Rows:
 
 def logged(arrivals: Rows) -> list[float]:
     """Log times, s from the bag's first message."""
-    found: list[float] = ((arrivals["log_time_ns"] - ORIGIN_NS) * 1e-9).tolist()
-    return found
+    times: list[float] = ((arrivals["log_time_ns"] - ORIGIN_NS) * 1e-9).tolist()
+    return times
 
 
 def test_withholding_is_a_half_open_interval_of_log_time() -> None:
@@ -104,8 +104,8 @@ def test_noise_is_seeded_and_leaves_the_input_unchanged() -> None:
     arrivals, thin = fixes(10, 100), (Thin("box_pose", 10.0, 0.05),)
 
     def noise(seed: int) -> list[float]:
-        kept: list[float] = apply(InputFilters(thin=thin, seed=seed), arrivals)["value"][:, 0].tolist()
-        return kept
+        values: list[float] = apply(InputFilters(thin=thin, seed=seed), arrivals)["value"][:, 0].tolist()
+        return values
 
     assert noise(1) == noise(1)
     assert noise(1) != noise(2)
@@ -128,5 +128,5 @@ def test_batches_are_filtered_as_the_whole_is() -> None:
     thin = (Thin("box_pose", 3.0, 0.1), Thin("gnss", 1.0))
     filters = InputFilters(thin=thin, withhold=(Withhold("gnss", 3.0, 9.0),))
     in_batches = ArrivalFilter(filters, SOURCES, ORIGIN_NS)
-    found = np.concatenate([in_batches(batch) for batch in np.array_split(both, 17)])
-    np.testing.assert_array_equal(found, apply(filters, both))
+    filtered = np.concatenate([in_batches(batch) for batch in np.array_split(both, 17)])
+    np.testing.assert_array_equal(filtered, apply(filters, both))

@@ -55,8 +55,8 @@ def test_folder_expands_to_its_bags(fleet: Path) -> None:
     assert is_folder(fleet)
     assert not is_folder(fleet / "b")
     assert not is_folder(fleet / "nothing")
-    found = find_bags([fleet / "c" / "d", fleet, fleet / "nothing"])
-    assert [str(path.relative_to(fleet)) for path in found] == ["c/d", "a", "b", "nothing"]
+    bags = find_bags([fleet / "c" / "d", fleet, fleet / "nothing"])
+    assert [str(path.relative_to(fleet)) for path in bags] == ["c/d", "a", "b", "nothing"]
 
 
 def test_a_folder_without_bags_is_refused(tmp_path: Path) -> None:
@@ -167,9 +167,9 @@ def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     named = tmp_path / "named"
-    stated = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
+    vehicle = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
     with open_bag(BAGS / "slalom_sand") as bag, BagWriter(named) as copy:
-        copy.write("/vehicle", "std_msgs/msg/String", serialize(stated), bag.start_ns)
+        copy.write("/vehicle", "std_msgs/msg/String", serialize(vehicle), bag.start_ns)
         for m in bag.messages():
             copy.write(m.topic, m.type_name, m.raw, m.log_time_ns)
     bags = [str(BAGS / "slalom_sand"), str(named)]
@@ -220,23 +220,23 @@ def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]
 
 
 def test_processes_give_results_in_order_with_one_thread_each() -> None:
-    with open_workers(2, shared=100) as mapped:
-        assert list(mapped(square, range(5))) == [(100 + k * k, "1") for k in range(5)]
+    with open_workers(2, shared=100) as map_items:
+        assert list(map_items(square, range(5))) == [(100 + k * k, "1") for k in range(5)]
         with pytest.raises(InputError, match="item 2 is refused"):
-            list(mapped(refused, range(5)))
+            list(map_items(refused, range(5)))
 
 
 def test_killed_worker_is_reported_in_one_line() -> None:
-    with pytest.raises(InputError, match="a process was ended"), open_workers(2) as mapped:
-        list(mapped(end, range(2)))
+    with pytest.raises(InputError, match="a process was ended"), open_workers(2) as map_items:
+        list(map_items(end, range(2)))
 
 
 def test_an_interruption_ends_the_processes() -> None:
     previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), open_workers(2) as mapped:  # noqa: PT012
+        with pytest.raises(KeyboardInterrupt), open_workers(2) as map_items:  # noqa: PT012
             signal.setitimer(signal.ITIMER_REAL, 2.0)
-            next(mapped(wait, range(2)))
+            next(map_items(wait, range(2)))
     finally:
         signal.signal(signal.SIGALRM, previous)
     for process in multiprocessing.active_children():

@@ -30,15 +30,15 @@ VEHICLE = "{{name: x, kinematics: {{rolling_radius: 0.159, tread: {tread}, conta
 
 def changed(lines: list[Any], topic: str, change: Callable[[Any], None], every: int) -> list[Any]:
     """The lines, with every ``every``-th message of a topic changed."""
-    found, seen = [], 0
+    result, count = [], 0
     for line in lines:
         if line.topic == topic:
-            seen += 1
-            if seen % every == 0:
+            count += 1
+            if count % every == 0:
                 line = line._replace(message=deepcopy(line.message))
                 change(line.message)
-        found.append(line)
-    return found
+        result.append(line)
+    return result
 
 
 def set_rate(value: float) -> Callable[[Any], None]:

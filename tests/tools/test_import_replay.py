@@ -31,11 +31,11 @@ PAGE = Path(__file__).parents[2] / "docs" / "import.md"
 
 def mapping(**changed: Any) -> dict[str, Any]:
     """Mapping of the four-wheel robot, with changed topics."""
-    found: dict[str, Any] = yaml.safe_load(
+    content: dict[str, Any] = yaml.safe_load(
         config_file("mappings/four_wheels.yaml").read_text(encoding="utf-8")
     )
-    found["topics"] |= changed
-    return found
+    content["topics"] |= changed
+    return content
 
 
 def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:
@@ -47,8 +47,8 @@ def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:
 
 
 def replayed(bag: Path, *options: str, code: int = ExitCode.DONE) -> dict[str, Any]:
-    found: dict[str, Any] = json_of(bag.parent, "replay", bag, *options, code=code)
-    return found
+    result: dict[str, Any] = json_of(bag.parent, "replay", bag, *options, code=code)
+    return result
 
 
 @pytest.fixture
@@ -67,36 +67,36 @@ def bag(ros2_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(bag: Path) -> dict[str, Any]:
+def summary(bag: Path) -> dict[str, Any]:
     return replayed(bag)
 
 
-def test_four_wheel_robot_is_imported_and_replayed(bag: Path, found: dict[str, Any]) -> None:
+def test_four_wheel_robot_is_imported_and_replayed(bag: Path, summary: dict[str, Any]) -> None:
     """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are metres off, as it turns at 0.8 of their rate."""
-    assert found["rmse"]["dead_reckoning"] > 1.0
-    assert found["rmse"]["filter"] < 0.03
-    assert found["rmse"]["heading"] < 0.01
-    assert found["nees_position"] < 8.0
+    assert summary["rmse"]["dead_reckoning"] > 1.0
+    assert summary["rmse"]["filter"] < 0.03
+    assert summary["rmse"]["heading"] < 0.01
+    assert summary["nees_position"] < 8.0
     page = bag.parent / "report.html"
     assert main(["report", str(bag), "--output", str(page)]) == ExitCode.DONE
     assert "NEES of the position" not in page.read_text(encoding="utf-8")
 
 
-def test_figures_on_the_page_on_imports_are_those_of_a_replay(found: dict[str, Any]) -> None:
+def test_figures_on_the_page_on_imports_are_those_of_a_replay(summary: dict[str, Any]) -> None:
     """The tolerance is half a millimetre: the last digit depends on the processor."""
     page = PAGE.read_text(encoding="utf-8")
-    stated = {
+    figures = {
         name: re.search(rf"^      {re.escape(name)} +(\d\.\d+)", page, re.MULTILINE)
         for name in ("encoders alone", "encoders + gyro", "filter")
     }
-    for name, key in zip(stated, ("dead_reckoning", "encoder_gyro", "filter"), strict=True):
-        assert float(stated[name][1]) == pytest.approx(found["rmse"][key], abs=5e-4), name
+    for name, key in zip(figures, ("dead_reckoning", "encoder_gyro", "filter"), strict=True):
+        assert float(figures[name][1]) == pytest.approx(summary["rmse"][key], abs=5e-4), name
 
 
-def test_a_log_of_ros_1_gives_the_same(ros1_log: Path, found: dict[str, Any], tmp_path: Path) -> None:
+def test_a_log_of_ros_1_gives_the_same(ros1_log: Path, summary: dict[str, Any], tmp_path: Path) -> None:
     of_ros_1 = replayed(imported(tmp_path, ros1_log, mapping()))
     for key in ("messages", "rejected", "final", "rmse", "nees", "nees_position"):
-        assert of_ros_1[key] == found[key], key
+        assert of_ros_1[key] == summary[key], key
 
 
 def test_machine_with_gnss_is_imported_and_replayed(
@@ -136,19 +136,19 @@ def test_heading_of_two_antennas_is_imported_from_a_bag(write: Any, topic: str, 
     del content["topics"]["mocap_pose"]
     content["datum"] = of_page["datum"]
     content["parameters"] |= of_page["parameters"]
-    found = replayed(imported(tmp_path, log, content))
-    assert "heading" not in found["rejected"]
-    assert found["rmse"]["heading"] < 0.006
-    assert found["rmse"]["filter"] < 0.02
+    summary = replayed(imported(tmp_path, log, content))
+    assert "heading" not in summary["rejected"]
+    assert summary["rmse"]["heading"] < 0.006
+    assert summary["rmse"]["filter"] < 0.02
 
 
 def test_the_order_of_arrival_is_that_of_the_robot(
-    ros2_log: Path, found: dict[str, Any], tmp_path: Path
+    ros2_log: Path, summary: dict[str, Any], tmp_path: Path
 ) -> None:
     """The same poses without their delay give a better estimate at the time of publication."""
     early = {"role": "pose", "from": "/truth", "stddev": {"x": 0.001, "y": 0.001, "yaw": 0.001}}
     prompt = replayed(imported(tmp_path, ros2_log, mapping(mocap_pose=early)))
-    assert prompt["rmse"]["filter"] < found["rmse"]["filter"]
+    assert prompt["rmse"]["filter"] < summary["rmse"]["filter"]
 
 
 @pytest.mark.slow
@@ -156,16 +156,17 @@ def test_a_reference_of_positions_gives_no_nonsense(
     ros2_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     positions = {"from": "/truth", "stddev": {"x": 0.001, "y": 0.001}, "position_only": True}
-    made = imported(tmp_path, ros2_log, mapping(reference_pose=positions))
-    found = replayed(made)
-    assert found["rmse"]["filter"] < 0.03
-    assert (found["rmse"]["heading"], found["nees"], found["rmse"]["dead_reckoning"]) == (None, None, None)
-    assert found["nees_position"] < 8.0
+    imported_bag = imported(tmp_path, ros2_log, mapping(reference_pose=positions))
+    summary = replayed(imported_bag)
+    rmse = summary["rmse"]
+    assert rmse["filter"] < 0.03
+    assert (rmse["heading"], summary["nees"], rmse["dead_reckoning"]) == (None, None, None)
+    assert summary["nees_position"] < 8.0
     shown = capsys.readouterr().out
     assert "mean NEES of position" in shown
     assert "nan" not in shown
     page = tmp_path / "report.html"
-    assert main(["report", str(made), "--output", str(page)]) == ExitCode.DONE
+    assert main(["report", str(imported_bag), "--output", str(page)]) == ExitCode.DONE
     assert "NEES of the position" in page.read_text(encoding="utf-8")
 
 
@@ -193,7 +194,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("reason", REFUSED)
 def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) -> None:
-    given, invalid = REFUSED[reason]
+    input_counts, invalid = REFUSED[reason]
     rejected = Tally()
     for source, count in invalid.items():
         rejected.add(source, Outcome.INVALID, count)
@@ -201,7 +202,9 @@ def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) 
     p = load_slip_parameters({"pose_sources": ["mocap_pose"]})
     with open_bag(bag) as opened:
         assert (
-            explain_missing_estimate(opened, p, InputFilters(), ProcessingCounts(Counter(given), rejected))
+            explain_missing_estimate(
+                opened, p, InputFilters(), ProcessingCounts(Counter(input_counts), rejected)
+            )
             == reason
         )
 
@@ -216,10 +219,10 @@ def test_heading_never_found_fails(
 ) -> None:
     """The robot is at standstill for the first second, and one antenna has no heading."""
     antenna = {"role": "pose", "from": "/mocap", "stddev": {"x": 0.03, "y": 0.03}, "position_only": True}
-    made = imported(tmp_path, ros2_log, mapping(mocap_pose=antenna))
-    replayed(made, "--stop", "1.0", code=ExitCode.FAILED)
+    imported_bag = imported(tmp_path, ros2_log, mapping(mocap_pose=antenna))
+    replayed(imported_bag, "--stop", "1.0", code=ExitCode.FAILED)
     assert "no estimate of the heading: heading unknown: it is found" in capsys.readouterr().out
-    assert replayed(made)["rmse"]["heading"] < 0.3
+    assert replayed(imported_bag)["rmse"]["heading"] < 0.3
 
 
 def test_refused_measurements_are_never_reported_as_used(bag: Path, tmp_path: Path) -> None:

@@ -49,8 +49,8 @@ def lacking(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 def test_columns_are_what_the_node_makes_of_each_message(lacking: Path) -> None:
-    stated = {**ANGLES, "use_orientation": True}
-    p = load_slip_parameters({f"sources.imu_data_raw.{name}": value for name, value in stated.items()})
+    settings = {**ANGLES, "use_orientation": True}
+    p = load_slip_parameters({f"sources.imu_data_raw.{name}": value for name, value in settings.items()})
     imu = p.gyros()["imu/data_raw"]
     with open_bag(lacking) as bag:
         messages = [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["imu/data_raw"])]

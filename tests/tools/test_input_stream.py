@@ -54,11 +54,11 @@ def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
             assert batch.tables["truth/odometry"].rows.dtype == dtype_of(OdometryFields)
 
 
-def same_rows(found: NDArray[np.void], expected: NDArray[np.void]) -> None:
+def same_rows(rows: NDArray[np.void], expected: NDArray[np.void]) -> None:
     """Assert equality field by field, with NaN equal to NaN."""
-    assert found.dtype == expected.dtype
-    for name in found.dtype.names or ():
-        np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+    assert rows.dtype == expected.dtype
+    for name in rows.dtype.names or ():
+        np.testing.assert_array_equal(rows[name], expected[name], err_msg=name)
 
 
 @pytest.mark.parametrize("filters", [InputFilters(), FILTERS])
@@ -69,12 +69,12 @@ def test_the_length_of_the_batches_changes_nothing(
     with open_bag(emulated_bag) as bag:
         expected = read_inputs(bag, P, filters, ("truth/odometry",))
         monkeypatch.setattr(chunks, "STRETCH_NS", round(seconds * 1e9))
-        found = read_inputs(bag, P, filters, ("truth/odometry",))
-    assert len(found.rows) > 1000
-    same_rows(found.rows, expected.rows)
+        inputs = read_inputs(bag, P, filters, ("truth/odometry",))
+    assert len(inputs.rows) > 1000
+    same_rows(inputs.rows, expected.rows)
     series = "truth/odometry"
-    np.testing.assert_array_equal(found.series[series].rows, expected.series[series].rows)
-    assert (found.messages, found.duration_s) == (expected.messages, expected.duration_s)
+    np.testing.assert_array_equal(inputs.series[series].rows, expected.series[series].rows)
+    assert (inputs.messages, inputs.duration_s) == (expected.messages, expected.duration_s)
 
 
 def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path) -> None:
@@ -89,9 +89,9 @@ def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path
                 expected.append(conversions.pose_fix(content, source))
             else:
                 expected.append(conversions.yaw_rate(content, source, P.gyros()[source]))
-        found = measurements_of(read_inputs(bag, P, InputFilters(), ()))
-    assert list(map(repr, found)) == list(map(repr, expected))
-    assert {type(m) for m in found} == {Sprockets, YawRate, PoseFix}
+        measurements = measurements_of(read_inputs(bag, P, InputFilters(), ()))
+    assert list(map(repr, measurements)) == list(map(repr, expected))
+    assert {type(m) for m in measurements} == {Sprockets, YawRate, PoseFix}
 
 
 def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -> Path:
@@ -109,24 +109,24 @@ def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -
 def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
     """Measurements are processed up to 0.3 s after their log times, with a reset between; one never is."""
     with open_bag(emulated_bag) as bag:
-        given = read_inputs(bag, P, InputFilters(), ())
+        inputs = read_inputs(bag, P, InputFilters(), ())
     rng = np.random.default_rng(5)
-    late_ns = (rng.random(len(given.rows)) * 3e8).astype(np.int64)
-    order = np.argsort(given.rows["log_time_ns"] + late_ns, kind="stable")
-    times_ns = (given.rows["log_time_ns"] + late_ns)[order]
-    live = given.rows[order]
+    late_ns = (rng.random(len(inputs.rows)) * 3e8).astype(np.int64)
+    order = np.argsort(inputs.rows["log_time_ns"] + late_ns, kind="stable")
+    times_ns = (inputs.rows["log_time_ns"] + late_ns)[order]
+    live = inputs.rows[order]
     lines = [
-        (int(t), Report(given.sources[row["source"]], int(row["stamp_ns"]), Outcome.ACCEPTED))
+        (int(t), Report(inputs.sources[row["source"]], int(row["stamp_ns"]), Outcome.ACCEPTED))
         for t, row in zip(times_ns, live, strict=True)
     ]
     lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
     with open_bag(journaled(tmp_path / "bag", emulated_bag, lines)) as bag:
-        found = read_inputs(bag, P, InputFilters(), ())
-    same_rows(np.delete(found.rows, 2000), np.delete(live, 2000))
-    assert found.counts.lines == len(lines)
-    assert (found.counts.lost_lines, found.counts.lost_inputs) == (0, 0)
-    command = found.rows[2000]
-    assert (command["kind"], found.sources[command["source"]]) == (IS_COMMAND, RESET)
+        reordered = read_inputs(bag, P, InputFilters(), ())
+    same_rows(np.delete(reordered.rows, 2000), np.delete(live, 2000))
+    assert reordered.counts.lines == len(lines)
+    assert (reordered.counts.lost_lines, reordered.counts.lost_inputs) == (0, 0)
+    command = reordered.rows[2000]
+    assert (command["kind"], reordered.sources[command["source"]]) == (IS_COMMAND, RESET)
 
 
 def test_pose_set_with_stamp_0_does_not_extend_the_duration(emulated_bag: Path, tmp_path: Path) -> None:

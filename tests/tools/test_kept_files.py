@@ -127,19 +127,19 @@ def test_study_refuses_a_text_of_the_user_as_its_cache(mine: Path) -> None:
     assert mine.read_text(encoding="utf-8") == MINE
 
 
-@pytest.mark.parametrize("kept", ["journal", "cache"])
-def test_named_pipe_as_journal_or_cache_is_refused_without_blocking(tmp_path: Path, kept: str) -> None:
+@pytest.mark.parametrize("kind", ["journal", "cache"])
+def test_named_pipe_as_journal_or_cache_is_refused_without_blocking(tmp_path: Path, kind: str) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InputError, match=f"is no {kept}"):
-        Journal(tmp_path / "pipe", (), ("a",)) if kept == "journal" else Cache(tmp_path / "pipe", Row)
+    with pytest.raises(InputError, match=f"is no {kind}"):
+        Journal(tmp_path / "pipe", (), ("a",)) if kind == "journal" else Cache(tmp_path / "pipe", Row)
 
 
-@pytest.mark.parametrize("kept", ["journal", "cache"])
-def test_huge_file_as_journal_or_cache_is_refused(tmp_path: Path, kept: str) -> None:
+@pytest.mark.parametrize("kind", ["journal", "cache"])
+def test_huge_file_as_journal_or_cache_is_refused(tmp_path: Path, kind: str) -> None:
     with (tmp_path / "large").open("wb") as file:
         file.truncate(2**33)
-    with pytest.raises(InputError, match=f"is no {kept}"):
-        Journal(tmp_path / "large", (), ("a",)) if kept == "journal" else Cache(tmp_path / "large", Row)
+    with pytest.raises(InputError, match=f"is no {kind}"):
+        Journal(tmp_path / "large", (), ("a",)) if kind == "journal" else Cache(tmp_path / "large", Row)
 
 
 def test_links_and_devices_are_written_through(tmp_path: Path, mine: Path) -> None:

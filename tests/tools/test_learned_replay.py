@@ -45,9 +45,9 @@ def second_run(
 
     def make_bag(learned: object = learned_tree) -> Path:
         text = parameters_text(to_flat(load_slip_parameters()), NODE, learned=learned)
-        stated = lines[0].instead(PARAMETERS_TOPIC, make(PARAMETERS_TYPE, data=text))
+        parameters = lines[0].instead(PARAMETERS_TOPIC, make(PARAMETERS_TYPE, data=text))
         first_ns = min(line.log_ns for line in lines)
-        return bag_of([stated._replace(log_ns=first_ns - 1), *lines])
+        return bag_of([parameters._replace(log_ns=first_ns - 1), *lines])
 
     return make_bag
 
@@ -55,12 +55,12 @@ def second_run(
 def test_replay_reports_learned_states(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = summary(bag)["learned"]
-    assert {"gyro_scale", "asymmetry", "fix_delay.box_pose", "track_error"} <= found.keys()
-    assert {"gyro_noise_factor", "fix_noise_factor.box_pose"} <= found.keys()
-    assert all(entry.keys() == {"value", "stddev", "observed"} for entry in found.values())
-    assert found["track_error"]["observed"] is True
-    assert found["fix_delay.box_pose"]["observed"] is False
+    result = summary(bag)["learned"]
+    assert {"gyro_scale", "asymmetry", "fix_delay.box_pose", "track_error"} <= result.keys()
+    assert {"gyro_noise_factor", "fix_noise_factor.box_pose"} <= result.keys()
+    assert all(entry.keys() == {"value", "stddev", "observed"} for entry in result.values())
+    assert result["track_error"]["observed"] is True
+    assert result["fix_delay.box_pose"]["observed"] is False
     shown = capsys.readouterr().out
     assert "learned values" in shown
     assert "tracks err by " in shown
@@ -79,13 +79,13 @@ def test_replay_starts_from_the_learned_states_of_the_live_estimator(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = second_run()
-    found = summary(path)
+    result = summary(path)
     assert "starts from values learned before the bag begins" in capsys.readouterr().out
-    assert found["final"] != summary(bag)["final"]
+    assert result["final"] != summary(bag)["final"]
     with open_bag(path) as second:
         replayed = replay(second, load_slip_parameters(), InputFilters(), None)
     assert len(replayed.learned) > 1
-    assert replayed.estimates[-1]["pose"].tolist() == [found["final"][n] for n in ("x", "y", "yaw")]
+    assert replayed.estimates[-1]["pose"].tolist() == [result["final"][n] for n in ("x", "y", "yaw")]
 
 
 def test_bag_of_a_replay_has_the_learned_states_of_its_start(

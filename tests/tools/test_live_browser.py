@@ -80,9 +80,9 @@ def pages() -> dict[str, ServedFile]:
 
 @pytest.fixture
 def machine(pages: dict[str, ServedFile]) -> Iterator[Machine]:
-    made = Machine(pages)
-    yield made
-    made.stop()
+    running = Machine(pages)
+    yield running
+    running.stop()
 
 
 @pytest.fixture

@@ -67,23 +67,23 @@ def connect() -> Iterator[Connect]:
     """A function that connects to a server and sends some bytes."""
     with ExitStack() as opened:
 
-        def connected(server: PageServer, sent: bytes = b"") -> socket.socket:
+        def open_connection(server: PageServer, sent: bytes = b"") -> socket.socket:
             client = socket.create_connection(("127.0.0.1", server.port), PATIENCE)
             opened.enter_context(client)
             client.sendall(sent)
             return client
 
-        yield connected
+        yield open_connection
 
 
 def status(server: PageServer) -> int:
     """HTTP status of the page."""
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
     connection.request("GET", "/")
-    found = connection.getresponse()
-    found.read()
+    response = connection.getresponse()
+    response.read()
     connection.close()
-    return found.status
+    return response.status
 
 
 def is_closed(client: socket.socket) -> bool:
@@ -96,7 +96,7 @@ def is_closed(client: socket.socket) -> bool:
     return True
 
 
-def asking(server: PageServer, path: str, **headers: str) -> bytes:
+def request_bytes(server: PageServer, path: str, **headers: str) -> bytes:
     lines = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{server.port}"]
     return "\r\n".join([*lines, *(f"{name}: {value}" for name, value in headers.items()), "", ""]).encode()
 
@@ -124,7 +124,7 @@ def test_bytes_that_come_one_by_one_do_not_delay_the_header_timeout(
 
 
 def test_half_sent_body_is_closed_after_its_timeout(hasty: PageServer, connect: Connect) -> None:
-    body = asking(hasty, "/", **{"Content-Length": "9"}).replace(b"GET", b"POST") + b"123"
+    body = request_bytes(hasty, "/", **{"Content-Length": "9"}).replace(b"GET", b"POST") + b"123"
     assert is_closed(connect(hasty, body))
 
 
@@ -133,14 +133,14 @@ def test_connection_with_an_unread_answer_is_closed(
 ) -> None:
     monkeypatch.setattr(connections, "_LIFE_S", 0.2)
     server = serve()
-    connect(server, asking(server, "/large"))
+    connect(server, request_bytes(server, "/large"))
     wait_for(lambda: server.counts["connections"] == 1)
     wait_for(lambda: server.counts["connections"] == 0)
 
 
 @pytest.mark.parametrize("path", ["", "/"], ids=["half-sent", "answered"])
 def test_new_connections_replace_the_oldest(path: str, server: PageServer, connect: Connect) -> None:
-    sent = asking(server, path) if path else HALF
+    sent = request_bytes(server, path) if path else HALF
     clients = []
     for _ in range(MAX_CONNECTIONS + 40):
         clients.append(connect(server, sent))
@@ -152,7 +152,7 @@ def test_new_connections_replace_the_oldest(path: str, server: PageServer, conne
 
 
 def test_half_sent_requests_do_not_replace_whole_ones(server: PageServer, connect: Connect) -> None:
-    good = connect(server, asking(server, "/large"))
+    good = connect(server, request_bytes(server, "/large"))
     start = good.recv(100)
     for _ in range(MAX_CONNECTIONS + 40):
         connect(server, HALF)
@@ -165,7 +165,7 @@ def test_half_sent_requests_do_not_replace_whole_ones(server: PageServer, connec
 def test_streams_of_pages_count_and_are_kept(server: PageServer, connect: Connect) -> None:
     upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
     key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
-    page = connect(server, asking(server, "/stream", **upgrade, **key))
+    page = connect(server, request_bytes(server, "/stream", **upgrade, **key))
     wait_for(lambda: server.pages == 1)
     for _ in range(MAX_CONNECTIONS + 40):
         connect(server, HALF)

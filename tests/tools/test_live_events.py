@@ -13,7 +13,7 @@ def light(level: Level, message: str, name: str = "slip_estimator") -> Light:
 
 
 def reported(events: Events) -> list[str]:
-    return [event.text for event in events.kept]
+    return [event.text for event in events.recent]
 
 
 def test_a_lost_fix_is_reported_once_and_so_is_its_return() -> None:
@@ -24,7 +24,7 @@ def test_a_lost_fix_is_reported_once_and_so_is_its_return() -> None:
         events.add_light_changes([light(Level.WARN, text)], 1.0 + k, 0.0)
     events.add_light_changes([light(Level.OK, "running")], 40.0, 0.0)
     assert reported(events) == ["fix lost: box_pose", "fix back: box_pose"]
-    assert [event.level for event in events.kept] == [Level.WARN, Level.OK]
+    assert [event.level for event in events.recent] == [Level.WARN, Level.OK]
 
 
 def test_explanations_are_an_event_again_where_another_one_is_the_most_probable() -> None:
@@ -62,7 +62,7 @@ def test_a_node_that_falls_silent_and_comes_back() -> None:
     assert reported(events) == ["sick_pls: silent", "sick_pls: running"]
 
 
-def test_part_no_longer_reported_is_well_again() -> None:
+def test_part_no_longer_reported_has_recovered() -> None:
     events = Events()
     events.add_light_changes([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
     events.add_light_changes([], 1.0, 0.0)
@@ -74,7 +74,7 @@ def test_alternating_state_does_not_fill_the_event_list() -> None:
     for k in range(60):
         level, text = (Level.OK, "running") if k % 2 else (Level.WARN, f"{k} rejected in the last second")
         events.add_light_changes([light(level, text)], float(k), 0.0)
-    assert len(events.kept) == 2
+    assert len(events.recent) == 2
 
 
 def test_rejection_by_the_gate_is_reported_when_it_begins() -> None:
@@ -103,7 +103,7 @@ def test_a_soil_is_named_when_it_is_likely_and_when_another_is() -> None:
         events.add_soil_change({"sand": sand, "clay": 0.9 - sand}, 0.0, 0.0)
     assert reported(events) == ["soil found: sand, 70 %", "soil changed to clay, 80 %"]
     events.add_soil_change({}, 0.0, 0.0)
-    assert len(events.kept) == 2
+    assert len(events.recent) == 2
 
 
 def test_memory_is_bounded_whatever_the_values_are_called() -> None:
@@ -111,7 +111,7 @@ def test_memory_is_bounded_whatever_the_values_are_called() -> None:
     for k in range(5000):
         events.add_value_changes({f"a{k} gated": "1", f"b{k}": "not observed yet"}, float(k), 0.0)
         events.add(Level.WARN, f"news {'x' * k}", float(k), 0.0)
-    assert len(events.kept) == MAX_EVENTS
+    assert len(events.recent) == MAX_EVENTS
     assert events.count == 5000
     assert max(len(text) for text in reported(events)) < 250
     assert (

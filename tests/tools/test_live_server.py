@@ -27,16 +27,16 @@ LOCAL = LiveParameters(host="127.0.0.1", port=0, origins=())
 
 
 @pytest.fixture
-def whole() -> dict[str, Any]:
+def full_state() -> dict[str, Any]:
     return {"run": "a", "number": 0}
 
 
 @pytest.fixture
-def server(whole: dict[str, Any]) -> Iterator[PageServer]:
-    made = PageServer(FILES, lambda: whole, LOCAL)
-    made.start()
-    yield made
-    made.stop()
+def server(full_state: dict[str, Any]) -> Iterator[PageServer]:
+    running = PageServer(FILES, lambda: full_state, LOCAL)
+    running.start()
+    yield running
+    running.stop()
 
 
 def ask(
@@ -50,7 +50,7 @@ def ask(
     return content
 
 
-def talk(conversation: Callable[[], Awaitable[None]]) -> None:
+def run_conversation(conversation: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(asyncio.wait_for(conversation(), PATIENCE))
 
 
@@ -90,7 +90,7 @@ def test_page_gets_the_whole_state_first_and_then_changes(server: PageServer) ->
         assert json.loads(await page.read_message()) == {"number": 1}
         page.close()
 
-    talk(conversation)
+    run_conversation(conversation)
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1", "file://"])
@@ -99,7 +99,7 @@ def test_page_of_another_origin_gets_no_stream(server: PageServer, origin: str) 
         with pytest.raises(HTTPClientError, match="403"):
             await connected(server, Origin=origin)
 
-    talk(conversation)
+    run_conversation(conversation)
 
 
 @pytest.mark.parametrize("word", ['{"command": "stop"}', "x", b"\x00" * 100])
@@ -111,17 +111,17 @@ def test_a_viewer_that_sends_is_disconnected(server: PageServer, word: str | byt
         assert await page.read_message() is None
         assert page.close_code == 1008
 
-    talk(conversation)
+    run_conversation(conversation)
 
 
 def test_page_that_does_not_read_gets_the_whole_state_later(
-    server: PageServer, whole: dict[str, Any]
+    server: PageServer, full_state: dict[str, Any]
 ) -> None:
     async def conversation() -> None:
         lazy = await connected(server)
         ballast = "x" * 1_000_000
         for number in range(1, 101):
-            whole["number"] = number
+            full_state["number"] = number
             server.push({"number": number, "ballast": ballast})
         deadline = time.monotonic() + PATIENCE
         received = []
@@ -133,7 +133,7 @@ def test_page_that_does_not_read_gets_the_whole_state_later(
         assert received[-1].get("run") == "a" or any("run" in one for one in received[1:])
         lazy.close()
 
-    talk(conversation)
+    run_conversation(conversation)
 
 
 def test_number_of_pages_is_limited(server: PageServer) -> None:
@@ -146,7 +146,7 @@ def test_number_of_pages_is_limited(server: PageServer) -> None:
             await asyncio.sleep(0.01)
         await connected(server)
 
-    talk(conversation)
+    run_conversation(conversation)
 
 
 def test_a_taken_port_is_refused_in_one_line(server: PageServer) -> None:

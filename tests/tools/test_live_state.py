@@ -124,10 +124,10 @@ def test_soil_and_fixes_are_shown(state: LiveState) -> None:
     assert "new_fixes" not in state.next_frame(0.1, 0.1)
 
 
-def parameters(**named: float) -> Any:
+def parameters(**timeouts: float) -> Any:
     """Parameters message of the slip estimator with the timeouts of these pose sources."""
-    groups = {name: {"timeout": timeout} for name, timeout in named.items()}
-    stated = {"pose_sources": list(named), "sources": groups}
+    groups = {name: {"timeout": timeout} for name, timeout in timeouts.items()}
+    stated = {"pose_sources": list(timeouts), "sources": groups}
     return make("std_msgs/msg/String", data=parameters_text(stated, "slip_estimator"))
 
 
@@ -224,22 +224,22 @@ def test_memory_of_the_state_is_bounded(state: LiveState) -> None:
 
 @pytest.mark.parametrize("most", [10, MOST_POINTS])
 def test_a_path_keeps_its_shape_when_points_are_dropped(most: int) -> None:
-    kept = Trail(most, 0.1)
+    trail = Trail(most, 0.1)
     for k in range(20 * most):
-        kept.add(0.1 * k, 0.0)
-    assert most // 2 <= len(kept.points) <= most
-    assert kept.thinning_count > 0
-    gaps = np.diff([x for x, _ in kept.points])
+        trail.add(0.1 * k, 0.0)
+    assert most // 2 <= len(trail.points) <= most
+    assert trail.thinning_count > 0
+    gaps = np.diff([x for x, _ in trail.points])
     assert gaps.max() < 2.5 * gaps.min()
-    assert kept.points[0] == (0.0, 0.0)
+    assert trail.points[0] == (0.0, 0.0)
 
 
 def test_strips_have_the_panels_of_the_report() -> None:
-    made = Strips(5)
+    history = Strips(5)
     for k in range(8):
-        made.add(float(k), {})
-    times, values = made.stored_rows()
+        history.add(float(k), {})
+    times, values = history.stored_rows()
     assert times.tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
     assert np.isnan(values).all()
-    assert [panel.title for panel in made.panels()] == [shown.title for shown in PANELS]
-    assert sum(len(panel.curves) for panel in made.panels()) == len(LINES)
+    assert [panel.title for panel in history.panels()] == [panel.title for panel in PANELS]
+    assert sum(len(panel.curves) for panel in history.panels()) == len(LINES)

@@ -54,9 +54,9 @@ def test_the_vehicles_of_namespaces_are_not_assumed(
     two_machines: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "bag"
-    stated = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("excavator_20t")))
+    vehicle = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("excavator_20t")))
     with open_bag(two_machines) as bag, BagWriter(path) as copy:
-        copy.write("/two/vehicle", "std_msgs/msg/String", serialize(stated), bag.start_ns)
+        copy.write("/two/vehicle", "std_msgs/msg/String", serialize(vehicle), bag.start_ns)
         copy.write("/tower/sprockets", "sensor_msgs/msg/JointState", JOINTS, bag.start_ns)
         for m in bag.messages():
             if m.topic not in ("/two/vehicle", "/two/slip_estimator/parameters"):

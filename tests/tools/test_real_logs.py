@@ -52,8 +52,8 @@ def log(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Import:
 
 
 def replay(bag: Path, robot: str, folder: Path, *options: str) -> dict[str, Any]:
-    found: dict[str, Any] = json_of(folder, "replay", bag, *WINDOWS[robot], *THIN, *options)
-    return found
+    result: dict[str, Any] = json_of(folder, "replay", bag, *WINDOWS[robot], *THIN, *options)
+    return result
 
 
 @pytest.mark.parametrize(
@@ -74,20 +74,20 @@ def test_geometry_alone_is_enough(
 ) -> None:
     topics = ["reference_pose", *(["imu/data_raw"] if gyro_too else [])] if hidden else []
     options = [word for topic in topics for word in ("--withhold", f"{topic}:{hidden}")]
-    found = [replay(log(robot, True), robot, tmp_path, *options, "--seed", str(seed)) for seed in range(3)]
-    assert np.mean([one["rmse"]["filter"] for one in found]) <= SLACK * bar
+    results = [replay(log(robot, True), robot, tmp_path, *options, "--seed", str(seed)) for seed in range(3)]
+    assert np.mean([one["rmse"]["filter"] for one in results]) <= SLACK * bar
     # below 2: the fixes are drawn from the reference, and its own covariance is added
-    assert 0.3 < np.mean([one["nees_position"] for one in found]) < 3.0
+    assert 0.3 < np.mean([one["nees_position"] for one in results]) < 3.0
     if not hidden:
-        assert np.mean([one["nees"] for one in found]) < 4.5
+        assert np.mean([one["nees"] for one in results]) < 4.5
 
 
 @pytest.mark.slow
 def test_warthog_log_gives_the_documented_errors(log: Import, tmp_path: Path) -> None:
-    found = replay(log("warthog", True), "warthog", tmp_path)
-    assert found["rmse"]["dead_reckoning"] == pytest.approx(7.4, rel=0.05)
-    assert found["rmse"]["encoder_gyro"] == pytest.approx(0.45, rel=0.05)
-    assert found["messages"] == {"sprockets": 4679, "imu/data_raw": 4682, "reference_pose": 935}
+    result = replay(log("warthog", True), "warthog", tmp_path)
+    assert result["rmse"]["dead_reckoning"] == pytest.approx(7.4, rel=0.05)
+    assert result["rmse"]["encoder_gyro"] == pytest.approx(0.45, rel=0.05)
+    assert result["messages"] == {"sprockets": 4679, "imu/data_raw": 4682, "reference_pose": 935}
 
 
 @pytest.mark.slow

@@ -33,12 +33,14 @@ def ordered(
     rows = rows_of(sorted(arrivals, key=lambda a: a[0]), SOURCES)  # in the order of a bag
     commands, sprockets = [SOURCES.index("reset")], SOURCES.index("sprockets")
     order = LiveOrder(SOURCES, {*lines["source"].tolist()}, commands, sprockets)
-    found, begin = [], 0
+    parts, begin = [], 0
     for end in (*cuts, 10**15):
-        now = [part[(part["log_time_ns"] >= begin) & (part["log_time_ns"] < end)] for part in (rows, lines)]
-        found.append(order.push(now[0], now[1], end))
+        section = [
+            part[(part["log_time_ns"] >= begin) & (part["log_time_ns"] < end)] for part in (rows, lines)
+        ]
+        parts.append(order.push(section[0], section[1], end))
         begin = end
-    return np.concatenate((*found, order.finish())), order.counts
+    return np.concatenate((*parts, order.finish())), order.counts
 
 
 def order(arrivals: list[tuple[int, YawRate]], lines: Rows) -> list[tuple[str, int]]:
@@ -116,8 +118,8 @@ def test_commands_are_read_from_their_journal_lines() -> None:
 def test_lost_lines_are_counted() -> None:
     lines = journal(*[(k, "a", k) for k in range(10)])
 
-    def lost(kept: Rows) -> int:
-        return ordered([], kept)[1].lost_lines
+    def lost(recorded: Rows) -> int:
+        return ordered([], recorded)[1].lost_lines
 
     assert lost(journal()) == 0
     assert lost(lines) == 0
@@ -173,18 +175,18 @@ def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
 
 
 def test_memory_is_bounded_without_journal_lines() -> None:
-    known = LiveOrder(SOURCES, {0}, [], 4)
+    live_order = LiveOrder(SOURCES, {0}, [], 4)
     for k in range(100):
         now = k * HORIZON_NS
         rows = rows_of([arrival("a", now + i, now + i) for i in range(10)], SOURCES)
-        assert not len(known.push(rows, journal(), now + HORIZON_NS))
-    assert len(known._rows) <= 30
+        assert not len(live_order.push(rows, journal(), now + HORIZON_NS))
+    assert len(live_order._rows) <= 30
 
 
 def test_memory_is_bounded_where_all_lines_have_one_log_time() -> None:
-    known = LiveOrder(SOURCES, {0}, [], 4)
+    live_order = LiveOrder(SOURCES, {0}, [], 4)
     for k in range(50):
         lines = journal(*((0, "a", i) for i in range(1000)))
         lines["sequence"] += 1000 * k
-        known.push(rows_of([], SOURCES), lines, 1)
-    assert len(known._recent) <= 10_000
+        live_order.push(rows_of([], SOURCES), lines, 1)
+    assert len(live_order._recent) <= 10_000

@@ -66,27 +66,27 @@ def test_slips_are_drawn_beside_the_truth_while_moving(run: Run) -> None:
     assert early.any()
     assert np.isnan(estimate.values[early]).all()
     assert np.isnan(truth.values[truth.times < 2.5]).all()
-    both = np.interp(estimate.times, truth.times, truth.values)
+    true_slips = np.interp(estimate.times, truth.times, truth.values)
     later = estimate.times > 12.0
     assert run.states is not None
     assert run.states.is_moving[later].all()
-    assert np.sqrt(np.nanmean((estimate.values - both)[later] ** 2)) < 10.0  # %
+    assert np.sqrt(np.nanmean((estimate.values - true_slips)[later] ** 2)) < 10.0  # %
     assert estimate.band is not None
     low, high = estimate.band
     np.testing.assert_allclose((low + high)[later], 2.0 * estimate.values[later])
-    claimed = np.sqrt(run.states.slip_covariances[later, 1, 1])
-    np.testing.assert_allclose((high - low)[later], 100.0 * 4.0 * claimed)
+    sigmas = np.sqrt(run.states.slip_covariances[later, 1, 1])
+    np.testing.assert_allclose((high - low)[later], 100.0 * 4.0 * sigmas)
 
 
 def test_the_smoother_is_shown_beside_the_filter(run: Run) -> None:
-    later = run.details.estimates[1000:]
-    both = dataclasses.replace(run, smoothed=later)
-    panel = titled(motion_panels([both]), "Speed")
+    smoothed_rows = run.details.estimates[1000:]
+    with_smoother = dataclasses.replace(run, smoothed=smoothed_rows)
+    panel = titled(motion_panels([with_smoother]), "Speed")
     _, estimate, smoothed = panel.curves
     assert (estimate.label, smoothed.label, smoothed.form) == ("estimate", "smoothed", Form.DASHED)
     np.testing.assert_array_equal(smoothed.values, estimate.values[1000:])
-    assert [curve.label for curve in error_panels([both])[0].curves] == ["estimate", "smoothed"]
-    labels = [item.label.value for item in path_plot([both], 100).plot.legend[0].items]
+    assert [curve.label for curve in error_panels([with_smoother])[0].curves] == ["estimate", "smoothed"]
+    labels = [item.label.value for item in path_plot([with_smoother], 100).plot.legend[0].items]
     assert "smoothed" in labels
 
 

@@ -20,26 +20,26 @@ def test_a_short_curve_stays_as_it_is() -> None:
 def test_a_single_spike_survives_in_any_of_the_curves(place: int, size: float) -> None:
     curves = [np.zeros(10_000), np.zeros(10_000)]
     curves[1][place] = size
-    kept = extreme_indices(curves, 400)
-    assert place in kept
-    assert len(kept) <= 400
+    indices = extreme_indices(curves, 400)
+    assert place in indices
+    assert len(indices) <= 400
 
 
 def test_first_and_last_sample_are_kept() -> None:
-    kept = extreme_indices([np.sin(np.arange(5000.0))], 50)
-    assert kept[0] == 0
-    assert kept[-1] == 4999
+    indices = extreme_indices([np.sin(np.arange(5000.0))], 50)
+    assert indices[0] == 0
+    assert indices[-1] == 4999
 
 
 def test_gap_in_a_curve_is_kept() -> None:
     values = np.sin(np.arange(5000.0))
     values[2000:2300] = np.nan
-    kept = extreme_indices([values], 200)
-    broken = np.isnan(values[kept])
-    assert broken.any()
-    assert (np.diff(np.flatnonzero(broken)) == 1).all()  # one gap between two sections
-    assert not broken[0]
-    assert not broken[-1]
+    indices = extreme_indices([values], 200)
+    is_missing = np.isnan(values[indices])
+    assert is_missing.any()
+    assert (np.diff(np.flatnonzero(is_missing)) == 1).all()  # one gap between two sections
+    assert not is_missing[0]
+    assert not is_missing[-1]
 
 
 @given(
@@ -54,15 +54,15 @@ def test_thinning_keeps_extremes_within_the_limit_and_in_order(
 ) -> None:
     rng = np.random.default_rng(seed)
     curves = [np.where(rng.random(size) < holes, np.nan, rng.normal(size=size)) for _ in range(columns)]
-    kept = extreme_indices(curves, limit)
-    assert len(kept) <= limit
-    assert (np.diff(kept) > 0).all()
-    assert kept[0] >= 0
-    assert kept[-1] < size
+    indices = extreme_indices(curves, limit)
+    assert len(indices) <= limit
+    assert (np.diff(indices) > 0).all()
+    assert indices[0] >= 0
+    assert indices[-1] < size
     for curve in curves:
         if np.isfinite(curve).any():
-            assert np.nanmax(curve[kept]) == np.nanmax(curve)
-            assert np.nanmin(curve[kept]) == np.nanmin(curve)
+            assert np.nanmax(curve[indices]) == np.nanmax(curve)
+            assert np.nanmin(curve[indices]) == np.nanmin(curve)
 
 
 def test_rate_and_loss_of_a_steady_topic() -> None:

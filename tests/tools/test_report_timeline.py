@@ -52,45 +52,47 @@ def test_the_headline_agrees_with_the_truth_of_the_drive(emulated_run: Run) -> N
     known_s = np.ptp(emulated_run.states.path.stamps_ns) * 1e-9
     assert sum(travel.seconds.values()) == pytest.approx(known_s)
     assert travel.seconds[Motion.TURNING] == pytest.approx(18.0, abs=2.0)  # three legs of 6 s
-    found = facts(emulated_run)
-    assert found["Distance"].value == f"{travel.distance:.1f} m"
-    assert found["Verdict"].state in (State.OK, State.ATTENTION)
-    assert found["Stalled or stuck"].note == "no hydraulics in the bag"
+    facts_by_name = facts(emulated_run)
+    assert facts_by_name["Distance"].value == f"{travel.distance:.1f} m"
+    assert facts_by_name["Verdict"].state in (State.OK, State.ATTENTION)
+    assert facts_by_name["Stalled or stuck"].note == "no hydraulics in the bag"
 
 
 def test_the_largest_slip_is_one_that_is_known(emulated_run: Run) -> None:
     assert emulated_run.states is not None
     states = emulated_run.states
     k = len(states.slips) // 2
-    held = slice(k, k + 200)  # 2 s
-    wild = states.slips.copy()
-    wild[held, 0] = -3.0
-    unsure = states.slip_covariances.copy()
-    unsure[held, 0, 0] = 1.0
+    span = slice(k, k + 200)  # 2 s
+    large_slips = states.slips.copy()
+    large_slips[span, 0] = -3.0
+    large_covariances = states.slip_covariances.copy()
+    large_covariances[span, 0, 0] = 1.0
     changed = dataclasses.replace(emulated_run)
     spike = states.slips.copy()
     spike[k, 0] = -3.0
     changed.__dict__["states"] = dataclasses.replace(states, slips=spike)
     assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
-    changed.__dict__["states"] = dataclasses.replace(states, slips=wild, slip_covariances=unsure)
+    changed.__dict__["states"] = dataclasses.replace(
+        states, slips=large_slips, slip_covariances=large_covariances
+    )
     assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
-    changed.__dict__["states"] = dataclasses.replace(states, slips=wild)
+    changed.__dict__["states"] = dataclasses.replace(states, slips=large_slips)
     assert facts(changed)["Largest slip"].value == "-300 %"
 
 
 def test_a_run_without_an_estimate_has_a_headline_all_the_same(emulated_run: Run) -> None:
-    found = facts(dataclasses.replace(emulated_run, details=Details()))
-    assert found["Distance"].value == "–"
-    assert found["Verdict"].state is State.ATTENTION
+    headline = facts(dataclasses.replace(emulated_run, details=Details()))
+    assert headline["Distance"].value == "–"
+    assert headline["Verdict"].state is State.ATTENTION
 
 
 # Events
 
 
 def test_stalled_and_stuck_tracks_are_named_in_headline_events_and_strip(stalled_run: Run) -> None:
-    found = facts(stalled_run)["Stalled or stuck"]
-    assert found.state is State.ATTENTION
-    assert found.note == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
+    fact = facts(stalled_run)["Stalled or stuck"]
+    assert fact.state is State.ATTENTION
+    assert fact.note == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
     reported = [(round(1e-3 * event.time_ms), event.text) for event in events_of(stalled_run)]
     assert (10, "left track stalled for 10.0 s") in reported
     assert (30, "right track getting stuck for 5.0 s") in reported
@@ -150,7 +152,7 @@ def test_fixes_at_1_hz_are_not_lost_between_two_of_them(
     assert verdicts(run, load_limits())["Gaps"].state is State.OK
 
 
-def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run) -> None:
+def test_competing_explanations_and_accepted_events_are_reported(emulated_run: Run) -> None:
     """A replay provides both; the bag may lack /diagnostics."""
     zero_ns = emulated_run.recording.zero_ns
     off = Explanation("box_pose is 1.0 m off", 0.9, zero_ns)
@@ -158,8 +160,8 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     details = Details()
     details.sources = emulated_run.details.sources
     for at_s in range(10, 31):
-        found = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
-        details.add_explained([CompetingExplanations(zero_ns + at_s * SECOND_NS, found)])
+        explanations = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
+        details.add_explanations([CompetingExplanations(zero_ns + at_s * SECOND_NS, explanations)])
     events = [
         AcceptedEvent(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
         AcceptedEvent(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),
@@ -183,10 +185,10 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
 # Lights
 
 
-def test_spells_are_contiguous_up_to_the_end() -> None:
-    found = state_intervals(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
-    assert found == [StateInterval(0.0, 2.0, 1), StateInterval(2.0, 5.0, 2), StateInterval(5.0, 5.0, 1)]
-    assert total_duration(found, 1) == 2.0
+def test_state_intervals_are_contiguous_up_to_the_end() -> None:
+    intervals = state_intervals(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
+    assert intervals == [StateInterval(0.0, 2.0, 1), StateInterval(2.0, 5.0, 2), StateInterval(5.0, 5.0, 1)]
+    assert total_duration(intervals, 1) == 2.0
     assert state_intervals(np.empty(0), np.empty(0)) == []
 
 
@@ -197,12 +199,12 @@ def test_recorded_lights_show_failure_silence_and_recovery_of_a_node() -> None:
         if not 20 <= second < 30:
             level, text = (2, "not connected") if second < 10 else (0, f"{second} frames")
             log.add(diagnostics("sick_pls", level, text), float(second) + 0.6)
-    found = log.intervals(40.0)
-    levels = [(interval.state, round(interval.start, 1)) for interval in found["sick_pls"]]
+    intervals = log.intervals(40.0)
+    levels = [(interval.state, round(interval.start, 1)) for interval in intervals["sick_pls"]]
     assert [level for level, _ in levels] == [Level.ERROR, Level.OK, Level.SILENT, Level.OK]
     assert levels[2][1] == pytest.approx(19.6 + SILENT_S, abs=1.0)
-    assert [interval.state for interval in found["can_driver"]] == [Level.OK]
-    assert found["can_driver"][0].stop == 40.0
+    assert [interval.state for interval in intervals["can_driver"]] == [Level.OK]
+    assert intervals["can_driver"][0].stop == 40.0
     assert log.events[0].text == "sick_pls: not connected"
 
 
@@ -220,8 +222,8 @@ def test_a_bag_with_diagnostics_shows_its_lights(tmp_path: Path) -> None:
             bag.write("/diagnostics", TOPICS["diagnostics"].type_name, message, log_ns)
             text = serialize(make("std_msgs/msg/String", data="no lights"))
             bag.write("/elsewhere/diagnostics", "std_msgs/msg/String", text, log_ns)
-    with open_bag(tmp_path / "bag") as found:
-        recording = read_recording(found, InputFilters(), "digger1")
+    with open_bag(tmp_path / "bag") as opened:
+        recording = read_recording(opened, InputFilters(), "digger1")
     (interval,) = recording.lights["sick_pls"]
     assert (interval.state, interval.text) == (Level.WARN, "<b>cold</b>")
     assert recording.events == [Event(1, 0.0, Level.WARN, "sick_pls: <b>cold</b>")]
@@ -267,8 +269,8 @@ def test_runs_over_one_bag_keep_its_times(emulated_run: Run) -> None:
     ],
 )
 def test_a_bag_is_named_by_what_distinguishes_it(paths: tuple[str, ...], names: tuple[str, ...]) -> None:
-    found = distinct_names([Path(path) for path in paths])
-    assert tuple(found[Path(path)] for path in paths) == names
+    names_by_path = distinct_names([Path(path) for path in paths])
+    assert tuple(names_by_path[Path(path)] for path in paths) == names
 
 
 # Texts

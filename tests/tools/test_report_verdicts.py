@@ -87,9 +87,9 @@ def test_whitened_fixes_of_a_consistent_estimate_have_variance_one(run: Run, fac
 
 def test_nis_is_of_accepted_measurements_and_rejected_ones_are_drawn(run: Run) -> None:
     consistent = consistent_run(run)
-    found = innovations_of(consistent)["box_pose"]
-    assert found.mean_ratio == pytest.approx(1.0, abs=0.1)
-    assert found.gated.sum() == 600
+    innovations = innovations_of(consistent)["box_pose"]
+    assert innovations.mean_ratio == pytest.approx(1.0, abs=0.1)
+    assert innovations.gated.sum() == 600
     (panel,) = (p for p in innovation_panels([consistent]) if p.title.startswith("box_pose: squared"))
     by_label = {curve.label: curve for curve in panel.curves}
     rejected = by_label["rejected"]
@@ -107,11 +107,11 @@ def test_nis_is_of_accepted_measurements_and_rejected_ones_are_drawn(run: Run) -
 
 
 def test_a_good_drive_is_called_good(run: Run) -> None:
-    found = verdicts(run, load_limits())
+    by_name = verdicts(run, load_limits())
     for name in ("Bag", "Position", "Slip", "Rates", "Gaps", "Rejections"):
-        assert found[name].state is State.OK, (name, found[name])
+        assert by_name[name].state is State.OK, (name, by_name[name])
     for name in ("Replay = live", "Soil", "Tracks"):
-        assert found[name].state is State.UNKNOWN, (name, found[name])
+        assert by_name[name].state is State.UNKNOWN, (name, by_name[name])
 
 
 def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]) -> Run:
@@ -147,15 +147,15 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
 def test_faults_of_a_run_need_attention(
     run: Run, name: str, change: Callable[[Run], Run], words: str
 ) -> None:
-    found = verdicts(change(run), load_limits())[name]
-    assert found.state is State.ATTENTION
-    assert re.search(words, found.words), found.words
+    verdict = verdicts(change(run), load_limits())[name]
+    assert verdict.state is State.ATTENTION
+    assert re.search(words, verdict.words), verdict.words
 
 
 def test_sensors_better_than_stated_are_information(run: Run) -> None:
-    found = verdicts(changed(run, nees=0.3), load_limits())["Consistency of the pose"]
-    assert found.state is State.INFORMATION
-    assert "0.32 times" in found.words
+    verdict = verdicts(changed(run, nees=0.3), load_limits())["Consistency of the pose"]
+    assert verdict.state is State.INFORMATION
+    assert "0.32 times" in verdict.words
 
 
 def test_rejections_are_shares_of_their_source(run: Run) -> None:
@@ -165,9 +165,9 @@ def test_rejections_are_shares_of_their_source(run: Run) -> None:
     few = changed(run, rejected=rejected)
     share = 10 / run.replay.messages["box_pose"]
     assert rejection_rows(few)[0] == ("box_pose", "gated", "10", f"{100.0 * share:.2f}")
-    found = verdicts(few, load_limits())["Rejections"]
-    assert found.state is State.ATTENTION
-    assert "sprockets" not in found.value  # waiting for the first fix is not a fault
+    verdict = verdicts(few, load_limits())["Rejections"]
+    assert verdict.state is State.ATTENTION
+    assert "sprockets" not in verdict.value  # waiting for the first fix is not a fault
 
 
 def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
@@ -195,9 +195,9 @@ def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
 
 
 def test_a_stalled_track_is_named(stalled_run: Run) -> None:
-    found = verdicts(stalled_run, load_limits())["Tracks"]
-    assert found.state is State.ATTENTION
-    assert found.value == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
+    verdict = verdicts(stalled_run, load_limits())["Tracks"]
+    assert verdict.state is State.ATTENTION
+    assert verdict.value == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
 
 
 # Limits

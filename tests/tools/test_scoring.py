@@ -34,24 +34,24 @@ def path(times: tuple[int, ...], *poses: tuple[float, float, float]) -> Path:
     return Path(stamps(*times), np.array(poses))
 
 
-def estimates(*of: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
+def estimates(*samples: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
     """Estimates from times in ms, poses and covariances."""
-    found = np.zeros(len(of), ESTIMATE)
-    for record, (ms, pose, covariance) in zip(found, of, strict=True):
+    rows = np.zeros(len(samples), ESTIMATE)
+    for record, (ms, pose, covariance) in zip(rows, samples, strict=True):
         record["stamp_ns"], record["pose"] = EPOCH_NS + ms * MS, pose
         record["pose_covariance"] = covariance
-    return found
+    return rows
 
 
-def mean_nees(own: Rows, reference: Path) -> float | None:
-    return errors_against(own, reference).nees
+def mean_nees(estimated: Rows, reference: Path) -> float | None:
+    return errors_against(estimated, reference).nees
 
 
-def errors_against(own: Rows, reference: Path, R: np.ndarray | None = None) -> PathErrors:
+def errors_against(estimated: Rows, reference: Path, R: np.ndarray | None = None) -> PathErrors:
     x, y, heading = reference.poses.T
     errors, columns = PathErrors(), {} if R is None else {"covariance": R}
     rows = series_of(stamp_ns=reference.stamps_ns, x=x, y=y, heading=heading, **columns).rows
-    errors.add_estimates(own, rows)
+    errors.add_estimates(estimated, rows)
     return errors
 
 
@@ -62,83 +62,83 @@ def test_a_path_against_itself_has_no_error() -> None:
 
 def test_root_mean_square_by_hand() -> None:
     """Errors 5 m and 0; 0.1 and 0.3 rad."""
-    own = path((0, 100), (3, 4, 0.1), (1, 1, 0.3))
-    found = score(own, path((0, 100), (0, 0, 0), (1, 1, 0)))
-    assert found is not None
-    assert (found.samples, found.position) == (2, pytest.approx(math.sqrt(12.5)))
-    assert found.heading == pytest.approx(math.sqrt(0.05))
+    estimated = path((0, 100), (3, 4, 0.1), (1, 1, 0.3))
+    result = score(estimated, path((0, 100), (0, 0, 0), (1, 1, 0)))
+    assert result is not None
+    assert (result.samples, result.position) == (2, pytest.approx(math.sqrt(12.5)))
+    assert result.heading == pytest.approx(math.sqrt(0.05))
 
 
 def test_the_reference_counts_every_sample_at_its_own_stamp() -> None:
-    own = path((0, 100), (0, 0, 0), (1, 0, 0))
+    estimated = path((0, 100), (0, 0, 0), (1, 0, 0))
     reference = path((0, 10, 50, 100), (0, 0, 0), (0.1, 0, 0), (0.5, 1, 0), (1, 0, 0))
-    found = score(own, reference)
-    assert found is not None
-    assert (found.samples, found.position) == (4, pytest.approx(0.5))
+    result = score(estimated, reference)
+    assert result is not None
+    assert (result.samples, result.position) == (4, pytest.approx(0.5))
 
 
 def test_paths_are_scored_without_alignment() -> None:
-    found = score(path((0, 100), (1, 0, 0), (2, 0, 0)), path((0, 100), (0, 0, 0), (1, 0, 0)))
-    assert found is not None
-    assert found.position == pytest.approx(1.0)
+    result = score(path((0, 100), (1, 0, 0), (2, 0, 0)), path((0, 100), (0, 0, 0), (1, 0, 0)))
+    assert result is not None
+    assert result.position == pytest.approx(1.0)
 
 
 def test_only_what_the_path_covers_is_scored() -> None:
-    own = path((100, 200), (0, 0, 0), (0, 0, 0))
-    found = score(own, path((0, 100, 200, 300), (9, 9, 9), (0, 0, 0), (0, 0, 0), (9, 9, 9)))
-    assert found == Score(2, 0.0, 0.0)
-    assert score(own, path((0, 300), (0, 0, 0), (0, 0, 0))) is None
+    estimated = path((100, 200), (0, 0, 0), (0, 0, 0))
+    result = score(estimated, path((0, 100, 200, 300), (9, 9, 9), (0, 0, 0), (0, 0, 0), (9, 9, 9)))
+    assert result == Score(2, 0.0, 0.0)
+    assert score(estimated, path((0, 300), (0, 0, 0), (0, 0, 0))) is None
 
 
 def test_heading_error_is_the_shorter_angle() -> None:
-    own = path((0, 100), (0, 0, 3.1), (0, 0, 3.1 + 4 * math.pi))
-    found = score(own, path((0, 100), (0, 0, -3.1), (0, 0, -3.1)))
-    assert found is not None
-    assert found.heading == pytest.approx(2 * math.pi - 6.2)
+    estimated = path((0, 100), (0, 0, 3.1), (0, 0, 3.1 + 4 * math.pi))
+    result = score(estimated, path((0, 100), (0, 0, -3.1), (0, 0, -3.1)))
+    assert result is not None
+    assert result.heading == pytest.approx(2 * math.pi - 6.2)
 
 
 def test_the_path_of_estimates_turns_on_through_pi() -> None:
     P = np.eye(3)
-    made = path_of(estimates((0, (0, 0, 3.1), P), (100, (1, 0, -3.1), P)))
-    assert made.poses[1, 2] == pytest.approx(2 * math.pi - 3.1)
-    assert made.poses_at(stamps(50))[0, 2] == pytest.approx(math.pi)
+    unwrapped = path_of(estimates((0, (0, 0, 3.1), P), (100, (1, 0, -3.1), P)))
+    assert unwrapped.poses[1, 2] == pytest.approx(2 * math.pi - 3.1)
+    assert unwrapped.poses_at(stamps(50))[0, 2] == pytest.approx(math.pi)
 
 
 def test_nees_by_hand() -> None:
     """(0.2, 0, 0) with σ = 0.1 is 4; the second error has correlated x and y."""
     P = np.diag((0.01, 0.01, 0.01))
     R = np.array(((0.01, 0.005, 0.0), (0.005, 0.01, 0.0), (0.0, 0.0, 0.04)))
-    own = estimates((0, (0.2, 0, 0), P), (100, (0.1, 0.1, 0.2), R))
+    estimated = estimates((0, (0.2, 0, 0), P), (100, (0.1, 0.1, 0.2), R))
     reference = path((0, 100), (0, 0, 0), (0, 0, 0))
     second = 2 * 0.01 / 0.015 + 1.0  # along (1, 1) the variance is 0.015
-    assert mean_nees(own, reference) == pytest.approx((4.0 + second) / 2.0)
+    assert mean_nees(estimated, reference) == pytest.approx((4.0 + second) / 2.0)
 
 
 def test_nees_uses_the_covariance_nearest_in_time() -> None:
-    own = estimates(*((t, (1, 0, 0), np.eye(3) * v) for t, v in ((0, 1.0), (100, 4.0), (300, 16.0))))
+    estimated = estimates(*((t, (1, 0, 0), np.eye(3) * v) for t, v in ((0, 1.0), (100, 4.0), (300, 16.0))))
     for ms, variance in ((10, 1.0), (49, 1.0), (51, 4.0), (190, 4.0), (210, 16.0), (300, 16.0)):
-        assert mean_nees(own, path((ms,), (0, 0, 0))) == pytest.approx(1.0 / variance)
+        assert mean_nees(estimated, path((ms,), (0, 0, 0))) == pytest.approx(1.0 / variance)
 
 
 def test_nees_is_none_without_overlap() -> None:
-    own = estimates((0, (0, 0, 0), np.eye(3)))
-    assert mean_nees(own, path((50,), (0, 0, 0))) is None
-    assert mean_nees(own, path((0,), (0, 0, 0))) == 0.0
+    estimated = estimates((0, (0, 0, 0), np.eye(3)))
+    assert mean_nees(estimated, path((50,), (0, 0, 0))) is None
+    assert mean_nees(estimated, path((0,), (0, 0, 0))) == 0.0
 
 
 def test_a_reference_of_positions_is_scored_as_such() -> None:
     """Its headings are ignored, even NaN: 0.1 m with σ = 0.1 m is 1 of 2."""
-    own = estimates(*((t, (0.1, 0, 3.0), np.diag((0.01, 0.01, 1e-9))) for t in (0, 100)))
+    estimated = estimates(*((t, (0.1, 0, 3.0), np.diag((0.01, 0.01, 1e-9))) for t in (0, 100)))
     reference = path((0, 100), (0, 0, math.nan), (0, 0, math.nan))
-    errors = errors_against(own, reference)
-    assert errors.score == score(path_of(own), reference) == Score(2, pytest.approx(0.1), None)
+    errors = errors_against(estimated, reference)
+    assert errors.score == score(path_of(estimated), reference) == Score(2, pytest.approx(0.1), None)
     assert (errors.nees, errors.nees_position) == (None, pytest.approx(1.0))
 
 
 def test_headings_count_where_the_reference_has_them() -> None:
-    own = estimates(*((t, (0.1, 0, 0.2), np.eye(3) * 0.01) for t in (0, 100)))
+    estimated = estimates(*((t, (0.1, 0, 0.2), np.eye(3) * 0.01) for t in (0, 100)))
     reference = path((0, 100), (0, 0, math.nan), (0, 0, 0))
-    errors = errors_against(own, reference)
+    errors = errors_against(estimated, reference)
     assert errors.score == Score(2, pytest.approx(0.1), pytest.approx(0.2))
     assert (errors.nees, errors.nees_position) == (pytest.approx(5.0), pytest.approx(1.0))
 
@@ -148,10 +148,10 @@ def slips(stamps_ns: Any, left: Any, right: Any) -> Series:
 
 
 def test_slip_errors_are_interpolated_for_both_tracks() -> None:
-    own = slips(stamps(0, 100), (0.0, 0.2), (0.0, 0.1))
+    estimated = slips(stamps(0, 100), (0.0, 0.2), (0.0, 0.1))
     true = slips(stamps(-50, 50, 100), (9.0, 0.1, 0.5), (9.0, 0.05, 0.5))
-    np.testing.assert_allclose(slip_errors(own, true), (0.0, -0.3, 0.0, -0.4), atol=1e-12)
-    assert not slip_errors(own, slips(stamps(200), (0.0,), (0.0,))).size
+    np.testing.assert_allclose(slip_errors(estimated, true), (0.0, -0.3, 0.0, -0.4), atol=1e-12)
+    assert not slip_errors(estimated, slips(stamps(200), (0.0,), (0.0,))).size
 
 
 def test_slips_are_scored_only_where_a_track_moves() -> None:
@@ -161,9 +161,9 @@ def test_slips_are_scored_only_where_a_track_moves() -> None:
     v_x, rates = zip(*twists, strict=True)
     odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
     true = slips(stamps(*times, 500), np.arange(6.0) / 100.0, np.arange(6.0) / 50.0)
-    kept = moving_slips(odometry, true, 0.73)
-    np.testing.assert_array_equal(kept.stamps_ns, stamps(200, 300, 400))
-    np.testing.assert_array_equal(kept.rows, true.rows[2:5])
+    moving = moving_slips(odometry, true, 0.73)
+    np.testing.assert_array_equal(moving.stamps_ns, stamps(200, 300, 400))
+    np.testing.assert_array_equal(moving.rows, true.rows[2:5])
 
 
 def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
@@ -173,12 +173,12 @@ def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
     left, right = (1.0 - ground / speeds).T
     v_x, rates = ground.mean(axis=1), np.diff(ground)[:, 0] / 0.73
     odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
-    kept = moving_slips(odometry, slips(stamps(*times), left, right), 0.73)
-    np.testing.assert_array_equal(kept.stamps_ns, stamps(0, 200))
-    np.testing.assert_array_equal(kept["left_slip"], (np.nan, left[2]))
-    np.testing.assert_array_equal(kept["right_slip"], right[[0, 2]])
-    own = slips(stamps(0, 200), (0.0, left[2] + 0.03), (right[0] + 0.03, right[2]))
-    np.testing.assert_allclose(slip_errors(own, kept), (0.03, 0.03, 0.0), atol=1e-12)
+    moving = moving_slips(odometry, slips(stamps(*times), left, right), 0.73)
+    np.testing.assert_array_equal(moving.stamps_ns, stamps(0, 200))
+    np.testing.assert_array_equal(moving["left_slip"], (np.nan, left[2]))
+    np.testing.assert_array_equal(moving["right_slip"], right[[0, 2]])
+    estimated = slips(stamps(0, 200), (0.0, left[2] + 0.03), (right[0] + 0.03, right[2]))
+    np.testing.assert_allclose(slip_errors(estimated, moving), (0.03, 0.03, 0.0), atol=1e-12)
 
 
 # Covariance of the reference
@@ -187,17 +187,17 @@ def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
 def test_nees_includes_the_covariance_of_the_reference() -> None:
     """Error 0.3 m; standard deviations: estimate 0.1 m, reference 0.2 m: 0.09 / (0.01 + 0.04)."""
     P, R = np.diag((0.01, 0.01, 0.01)), np.diag((0.04, 0.04, 0.04))
-    own = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
-    errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((R, R)))
+    estimated = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
+    errors = errors_against(estimated, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((R, R)))
     assert errors.nees == pytest.approx(0.09 / 0.05)
     assert errors.nees_position == pytest.approx(0.09 / 0.05)
 
 
 def test_invalid_reference_covariance_counts_as_zero() -> None:
     P = np.diag((0.01, 0.01, 0.01))
-    own = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
+    estimated = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
     for none in (np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag((-1.0, 0.0, 0.0))):
-        errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((none, none)))
+        errors = errors_against(estimated, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((none, none)))
         assert errors.nees == pytest.approx(9.0)
 
 
@@ -205,12 +205,12 @@ def test_nees_of_a_consistent_estimate_against_a_reference_with_noise_is_3() -> 
     rng, n = np.random.default_rng(1), 4000
     P, R = np.diag((0.01, 0.02, 0.001)), np.array(((0.03, 0.01, 0.0), (0.01, 0.04, 0.0), (0.0, 0.0, 0.002)))
     e, e_ref = (rng.multivariate_normal(np.zeros(3), one, n) for one in (P, R))
-    own = estimates(*((100 * k, tuple(e[k]), P) for k in range(n)))
-    reference = Path(own["stamp_ns"].copy(), e_ref)
-    found = errors_against(own, reference, np.broadcast_to(R, (n, 3, 3)))
-    assert found.nees == pytest.approx(3.0, abs=0.15)
-    assert found.nees_position == pytest.approx(2.0, abs=0.12)
-    exact = mean_nees(own, reference)
+    estimated = estimates(*((100 * k, tuple(e[k]), P) for k in range(n)))
+    reference = Path(estimated["stamp_ns"].copy(), e_ref)
+    errors = errors_against(estimated, reference, np.broadcast_to(R, (n, 3, 3)))
+    assert errors.nees == pytest.approx(3.0, abs=0.15)
+    assert errors.nees_position == pytest.approx(2.0, abs=0.12)
+    exact = mean_nees(estimated, reference)
     assert exact is not None
     assert exact > 6.0
 
@@ -229,21 +229,21 @@ SINGULAR = {
 @pytest.mark.parametrize("name", SINGULAR)
 def test_a_singular_covariance_has_no_nees_and_spoils_none(name: str) -> None:
     P = np.diag((0.01, 0.01, 0.01))
-    own = estimates((0, (0.2, 0.0, 0.0), SINGULAR[name]), (100, (1.2, 0.0, 0.0), P))
-    errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)))
+    estimated = estimates((0, (0.2, 0.0, 0.0), SINGULAR[name]), (100, (1.2, 0.0, 0.0), P))
+    errors = errors_against(estimated, path((0, 100), (0, 0, 0), (1, 0, 0)))
     assert errors.nees == pytest.approx(4.0)
     assert errors.score == Score(2, pytest.approx(0.2), pytest.approx(0.0))
-    alone = errors_against(own[:1], path((0,), (0, 0, 0)))
+    alone = errors_against(estimated[:1], path((0,), (0, 0, 0)))
     assert alone.nees is None
 
 
 def test_the_position_has_a_nees_where_only_the_heading_has_no_variance() -> None:
-    own = estimates((0, (0.2, 0.0, 0.0), SINGULAR["one variance zero"]))
-    errors = errors_against(own, path((0,), (0, 0, 0)))
+    estimated = estimates((0, (0.2, 0.0, 0.0), SINGULAR["one variance zero"]))
+    errors = errors_against(estimated, path((0,), (0, 0, 0)))
     assert (errors.nees, errors.nees_position) == (None, pytest.approx(4.0))
 
 
 def test_nees_of_variances_ten_decades_apart_is_exact() -> None:
     P = np.diag((1e8, 1e-2, 1e-8))
-    own = estimates((0, (1e4, 0.1, 1e-4), P))
-    assert mean_nees(own, path((0,), (0, 0, 0))) == pytest.approx(3.0)
+    estimated = estimates((0, (1e4, 0.1, 1e-4), P))
+    assert mean_nees(estimated, path((0,), (0, 0, 0))) == pytest.approx(3.0)

@@ -44,12 +44,12 @@ LAST_NS = 1_700_000_100_000_000_000  # later than all messages
 def seeded(lines: list[Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive with a seed in each straight leg, the second one invalid; each arrives 0.5 s late."""
     origin_ns = min(line.log_ns for line in lines)
-    found = []
+    seeds = []
     for t, slip in ((3.0, 0.02), (9.0, float("nan"))):
         seed = SlipSeed(origin_ns + round(t * 1e9), np.full(2, slip), 1e-6 * (np.ones((2, 2)) + np.eye(2)))
         message = message_of(make, seed, "base_link")
-        found.append(lines[0].instead("slip_seed", message)._replace(log_ns=seed.stamp_ns + _LATE_NS))
-    return write_lines(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *found])
+        seeds.append(lines[0].instead("slip_seed", message)._replace(log_ns=seed.stamp_ns + _LATE_NS))
+    return write_lines(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *seeds])
 
 
 def replayed(path: Path, parts: list[Part] | None = None, **changes: Any) -> Replay:
@@ -59,14 +59,14 @@ def replayed(path: Path, parts: list[Part] | None = None, **changes: Any) -> Rep
 
 
 def reports_of(parts: list[Part]) -> list[Report]:
-    found = []
+    reports = []
     for part in parts:
         names = [part.sources[source] for source in part.arrivals["source"]]
         rows = part.results[["stamp_ns", "outcome", "nis", "gate", "dof"]].tolist()
-        found += [
+        reports += [
             Report(name, row[0], Outcome(row[1]), *row[2:]) for name, row in zip(names, rows, strict=True)
         ]
-    return found
+    return reports
 
 
 def numbers(result: Replay) -> list[bytes]:
@@ -83,10 +83,10 @@ def test_replay_processes_seeds_as_the_estimator_does(seeded: Path, model: str) 
     assert result.rejected.total["slip_seed", "invalid"] == 1
     p = load_slip_parameters(SOURCE | {"model": model})
     with open_bag(seeded) as bag:
-        given = measurements_of(read_inputs(bag, p, InputFilters(), ()))
-    assert sum(isinstance(m, SlipFix) for m in given) == 2
+        inputs = measurements_of(read_inputs(bag, p, InputFilters(), ()))
+    assert sum(isinstance(m, SlipFix) for m in inputs) == 2
     estimator = SlipEstimator(p)
-    estimates = [estimate for _, estimate in map(estimator.process, given) if estimate is not None]
+    estimates = [estimate for _, estimate in map(estimator.process, inputs) if estimate is not None]
     assert [slips.tobytes() for slips in result.estimates["slips"]] == [
         e.outputs.slips.tobytes() for e in estimates
     ]
@@ -110,15 +110,15 @@ def test_live_run_with_seeds_is_replayed_exactly(seeded: Path, model: str, tmp_p
     assert again.live.matches
     assert again.live.largest_difference == 0.0
     assert again.live.lost_inputs == 0
-    deaf = replayed(tmp_path / "live", model=model)
-    assert deaf.live is not None
-    assert not deaf.live.matches
+    ignoring = replayed(tmp_path / "live", model=model)
+    assert ignoring.live is not None
+    assert not ignoring.live.matches
 
 
 def test_unrequested_seeds_change_nothing(seeded: Path, bag: Path) -> None:
-    deaf, without = replayed(seeded), replayed(bag)
-    assert numbers(deaf) == numbers(without)
-    assert numbers(replayed(seeded, **SOURCE)) != numbers(without)
+    ignoring, without_seeds = replayed(seeded), replayed(bag)
+    assert numbers(ignoring) == numbers(without_seeds)
+    assert numbers(replayed(seeded, **SOURCE)) != numbers(without_seeds)
 
 
 def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,9 +137,9 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
 def test_tuning_with_seeds_has_finite_scores(seeded: Path) -> None:
     with open_bag(seeded) as bag:
         task = read_task(bag, load_slip_parameters(SOURCE), InputFilters(), None, needs_reference=True)
-    found = task.score({})
-    assert "slip_seed" in found.nis
-    assert np.isfinite((found.log_likelihood, found.position)).all()
+    scores = task.score({})
+    assert "slip_seed" in scores.nis
+    assert np.isfinite((scores.log_likelihood, scores.position)).all()
 
 
 def test_a_topic_of_another_type_is_refused(seeded: Path) -> None:

@@ -35,14 +35,14 @@ def replayed(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tu
 
 
 def test_summary_has_the_soil(replayed: tuple[Path, dict[str, Any]]) -> None:
-    found, true = replayed[1]["soil"], soil("sandy_loam")
-    assert found.keys() >= KEYS
-    assert found["mu_r"] == pytest.approx(true.value("mu_r"), rel=0.05)
+    result, true = replayed[1]["soil"], soil("sandy_loam")
+    assert result.keys() >= KEYS
+    assert result["mu_r"] == pytest.approx(true.value("mu_r"), rel=0.05)
     for name in ("K", "F_max"):
-        low, high = found[f"{name}_interval"]
-        assert low < found[name] < high
-    assert sum(found["classes"].values()) == pytest.approx(1.0)
-    assert "none of these" in found["classes"]
+        low, high = result[f"{name}_interval"]
+        assert low < result[name] < high
+    assert sum(result["classes"].values()) == pytest.approx(1.0)
+    assert "none of these" in result["classes"]
 
 
 def test_forces_and_soil_are_in_the_output(replayed: tuple[Path, dict[str, Any]]) -> None:
@@ -61,9 +61,9 @@ def test_replay_reproduces_live_forces(
     with BagWriter(tmp_path / "live") as live:
         for message in merged_messages(emulated_bag, replayed[0]):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-    found = summary(tmp_path / "live")
-    assert found["soil"]["replay_matches"] is True
-    assert found["soil"]["mu_r"] == replayed[1]["soil"]["mu_r"]
+    result = summary(tmp_path / "live")
+    assert result["soil"]["replay_matches"] is True
+    assert result["soil"]["mu_r"] == replayed[1]["soil"]["mu_r"]
     other = summary(tmp_path / "live", "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
     assert other["soil"]["replay_matches"] is False
 
@@ -71,9 +71,9 @@ def test_replay_reproduces_live_forces(
 @pytest.mark.parametrize("vehicle", ["pc05_cab", "pc05"])
 def test_replay_feeds_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
     """Bit for bit, including swing and tilt where they are known."""
-    own = SlipEstimator(load_slip_parameters({"vehicle": vehicle}))
-    records = to_records(record(dig()[:6], Cab(encoder=vehicle == "pc05_cab")).measurements, own.sources)
-    results = own.process_records(records)
+    estimator = SlipEstimator(load_slip_parameters({"vehicle": vehicle}))
+    measurements = record(dig()[:6], Cab(encoder=vehicle == "pc05_cab")).measurements
+    results = estimator.process_records(to_records(measurements, estimator.sources))
     rows = results["estimate"][results["published"] == 1]
     live = np.zeros(len(rows), SOIL_INPUT)
     for to, row in zip(live, rows, strict=True):

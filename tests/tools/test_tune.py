@@ -60,11 +60,11 @@ def test_command_writes_parameters_and_evidence(
     assert {file.name for file in out.iterdir()} == {
         *("slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl")
     }
-    found = json.loads((out / "evidence.json").read_text())
+    evidence = json.loads((out / "evidence.json").read_text())
     layer = node_parameters(read_yaml(out / "slip_estimator.yaml"), NODE, "tuned")
-    assert layer["gate_relaxation"] == found["values"]["after"]["gate_relaxation"]
+    assert layer["gate_relaxation"] == evidence["values"]["after"]["gate_relaxation"]
     assert load_slip_parameters(layer).timeouts_ns()["box_pose"] == round(
-        found["values"]["after"]["sources.box_pose.timeout"] * 1e9
+        evidence["values"]["after"]["sources.box_pose.timeout"] * 1e9
     )
     assert main(["replay", str(emulated_bag), "--params", str(out / "slip_estimator.yaml")]) == ExitCode.DONE
 
@@ -147,9 +147,9 @@ def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
 
 def start_off(plan: Path, file: Path, factor: float) -> Path:
     """Write process noise times ``factor``; if it is reduced, noise of the fixes is ten times too large."""
-    ours = load_slip_parameters()
+    defaults = load_slip_parameters()
     names = [name for name in read_plan(plan).bounds if "*" not in name]
-    layer: dict[str, Any] = {name: factor * value_of(ours, name) for name in names}
+    layer: dict[str, Any] = {name: factor * value_of(defaults, name) for name in names}
     if factor < 1.0:
         layer |= {"sources.box_pose.position_floor": 0.07, "sources.box_pose.heading_floor": 0.28}
     file.write_text(yaml.safe_dump({NODE: {"ros__parameters": layer}}))
@@ -184,20 +184,20 @@ def test_tuning_corrects_tenfold_wrong_noise_on_unseen_bag(
     """
     bags = [recorded(*names, 11 + k, tmp_path / f"bag{k}") for k, names in enumerate(drives)]
     plan, out = tmp_path / "tune.yaml", tmp_path / "out"
-    ours = read_yaml(config_file("tune.yaml")) | {"evaluations": evaluations}
-    plan.write_text(yaml.safe_dump(ours, sort_keys=False))
+    default_plan = read_yaml(config_file("tune.yaml")) | {"evaluations": evaluations}
+    plan.write_text(yaml.safe_dump(default_plan, sort_keys=False))
     start = start_off(plan, tmp_path / "off.yaml", factor)
     options = ("--plan", str(plan), "--params", str(start), "--output", str(out), "--no-cross-validation")
     assert main(["tune", *map(str, bags[:3]), *options]) == ExitCode.DONE
 
-    then = np.array([replayed(bag, start) for bag in bags])
-    now = np.array([replayed(bag, start, out / PARAMETERS) for bag in bags])
-    assert np.hypot.reduce(now[:3, 0]) < 0.75 * np.hypot.reduce(then[:3, 0])
-    for bag, nees in zip(bags[:3], now[:3, 2], strict=True):
+    before = np.array([replayed(bag, start) for bag in bags])
+    after = np.array([replayed(bag, start, out / PARAMETERS) for bag in bags])
+    assert np.hypot.reduce(after[:3, 0]) < 0.75 * np.hypot.reduce(before[:3, 0])
+    for bag, nees in zip(bags[:3], after[:3, 2], strict=True):
         with open_bag(bag) as opened:
             independent = opened.duration_s / APART
         low, high = chi2.ppf((0.025 / 3.0, 1.0 - 0.025 / 3.0), 3.0 * independent) / independent
         assert low < nees < high
-    assert now[3, 0] < then[3, 0]
-    assert now[3, 1] < 1.1 * then[3, 1]
-    assert abs(np.log(now[3, 2] / 3.0)) < abs(np.log(then[3, 2] / 3.0))
+    assert after[3, 0] < before[3, 0]
+    assert after[3, 1] < 1.1 * before[3, 1]
+    assert abs(np.log(after[3, 2] / 3.0)) < abs(np.log(before[3, 2] / 3.0))

@@ -37,9 +37,9 @@ SEGMENTS = [
 
 def measurements(drive: Callable[..., Any], seed: int = 0, sigma: float = 0.1) -> list[Measurement]:
     """Measurements with fixes whose stated covariance is far too small."""
-    found: list[Measurement] = drive(SEGMENTS, seed=seed, fix_sigma=(sigma, sigma, 0.02)).measurements
-    claimed = np.diag((1e-6, 1e-6, 4e-4))
-    return [replace(m, covariance=claimed) if isinstance(m, PoseFix) else m for m in found]
+    exact: list[Measurement] = drive(SEGMENTS, seed=seed, fix_sigma=(sigma, sigma, 0.02)).measurements
+    stated_covariance = np.diag((1e-6, 1e-6, 4e-4))
+    return [replace(m, covariance=stated_covariance) if isinstance(m, PoseFix) else m for m in exact]
 
 
 def task_of(drive: Callable[..., Any], seed: int = 0, **changes: Any) -> Task:
@@ -50,16 +50,16 @@ def task_of(drive: Callable[..., Any], seed: int = 0, **changes: Any) -> Task:
     return make_task(f"bag{seed}", records(measurements(drive, seed), p), p, Track(stamps, poses))
 
 
-def records(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
-    return to_records(found, SlipEstimator(p).sources)
+def records(inputs: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
+    return to_records(inputs, SlipEstimator(p).sources)
 
 
 def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: ScoreJobs | None = None) -> Tuning:
     with (
         Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal,
-        open_workers(1, shared=tasks) as mapped,
+        open_workers(1, shared=tasks) as map_items,
     ):
-        work = work or partial(mapped, score_of)
+        work = work or partial(map_items, score_of)
         return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
 
 
@@ -79,17 +79,17 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     task = task_of(drive)
     values = {"sources.*.position_floor": 0.1, "noise.slip_moving": 0.02}
     estimator = SlipEstimator(change_parameters(task.p, values))
-    given = sorted(measurements(drive), key=lambda m: m.stamp_ns)
-    results = estimator.process_records(records(given, task.p))
+    in_order = sorted(measurements(drive), key=lambda m: m.stamp_ns)
+    results = estimator.process_records(records(in_order, task.p))
     estimates = results["estimate"][results["published"]]
-    found = task.score(values)
+    result = task.score(values)
     assert task.reference is not None
     expected = score(path_of(estimates), task.reference)
     assert expected is not None
-    assert found.position == pytest.approx(expected.position, rel=0.05)
-    assert found.heading == pytest.approx(expected.heading, rel=0.05)
+    assert result.position == pytest.approx(expected.position, rel=0.05)
+    assert result.heading == pytest.approx(expected.heading, rel=0.05)
     nees = nees_of_each(path_of(estimates), estimates["pose_covariance"], task.reference)[0]
-    assert found.nees == pytest.approx(np.mean(nees), rel=0.05)
+    assert result.nees == pytest.approx(np.mean(nees), rel=0.05)
 
 
 def test_nees_includes_the_covariance_of_the_reference(drive: Callable[..., Any]) -> None:
@@ -108,9 +108,9 @@ def test_errors_against_a_reference_of_singular_covariance_have_no_nees(drive: C
     exact = task.reference
     assert exact is not None
     R = np.full((len(exact.stamps_ns), 3, 3), 1e20)
-    found = replace(task, reference=Track(exact.stamps_ns, exact.poses, R)).score({})
-    assert found.position == task.score({}).position
-    assert np.isnan((found.nees, found.pose_log_likelihood)).all()
+    result = replace(task, reference=Track(exact.stamps_ns, exact.poses, R)).score({})
+    assert result.position == task.score({}).position
+    assert np.isnan((result.nees, result.pose_log_likelihood)).all()
 
 
 def test_likelihood_of_a_spike_is_limited(drive: Callable[..., Any]) -> None:

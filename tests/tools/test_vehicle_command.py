@@ -53,10 +53,10 @@ def test_machine_with_a_box_keeps_the_laser() -> None:
 def test_guesses_from_the_mass_cover_machines_that_are_known(name: str) -> None:
     vehicle = load_vehicle(name)
     assert vehicle.mass is not None
-    made = draft_vehicle("guessed", {"mass.mass": vehicle.mass.mass})
+    draft = draft_vehicle("guessed", {"mass.mass": vehicle.mass.mass})
     for number in ("rolling_radius", "tread", "contact_length"):
-        share = made.guessed[f"kinematics.{number}"]
-        ratio = getattr(made.vehicle.kinematics, number) / getattr(vehicle.kinematics, number)
+        share = draft.guessed[f"kinematics.{number}"]
+        ratio = getattr(draft.vehicle.kinematics, number) / getattr(vehicle.kinematics, number)
         assert abs(math.log(ratio)) < 1.5 * share
 
 
@@ -74,8 +74,8 @@ def test_measured_radius_needs_no_other_parameters(tmp_path: Path) -> None:
 
 
 def test_kinematics_alone_are_enough(tmp_path: Path) -> None:
-    given = ("--rolling-radius", "0.36", "--tread", "2.4", "--contact-length", "3.4")
-    assert new(tmp_path, *given, "--antenna", "-1.2", "0.6", "3.0") == ExitCode.DONE
+    options = ("--rolling-radius", "0.36", "--tread", "2.4", "--contact-length", "3.4")
+    assert new(tmp_path, *options, "--antenna", "-1.2", "0.6", "3.0") == ExitCode.DONE
     vehicle = load_vehicle(str(tmp_path / "digger.yaml"))
     assert vehicle.mass is None
     assert vehicle.sensors is not None

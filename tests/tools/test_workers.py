@@ -18,5 +18,5 @@ def test_a_worker_that_is_killed_with_what_all_pieces_share_is_named() -> None:
         (nanny,) = cluster.workers.values()
         address = cluster.scheduler_address
         ended = pytest.raises(InputError, match="its workers ended")
-        with open_workers(1, address, shared=nanny.pid) as mapped, ended:
-            list(mapped(os.kill, [signal.SIGKILL]))  # shared is the pid of the worker's process
+        with open_workers(1, address, shared=nanny.pid) as map_items, ended:
+            list(map_items(os.kill, [signal.SIGKILL]))  # shared is the pid of the worker's process

@@ -50,8 +50,8 @@ def check(
         collect_output(),
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
-        given = as_texts("params", params), setting_texts(settings), as_name("vehicle", vehicle)
-        p = replay_options.parameters_of(opened, *given)
+        options = as_texts("params", params), setting_texts(settings), as_name("vehicle", vehicle)
+        p = replay_options.parameters_of(opened, *options)
         return check_of_result(check_bag(opened, p))
 
 
@@ -66,5 +66,5 @@ def setting_texts(settings: Mapping[str, Any] | None) -> list[str]:
     Raises:
         InputError: a parameter cannot have such a value.
     """
-    given = section("settings", {} if settings is None else settings)
-    return [f"{name}={json_text(f'settings: {name}', value)}" for name, value in given.items()]
+    tree = section("settings", {} if settings is None else settings)
+    return [f"{name}={json_text(f'settings: {name}', value)}" for name, value in tree.items()]

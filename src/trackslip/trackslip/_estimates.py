@@ -56,12 +56,12 @@ class Estimates:
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Name → (n,) column: ``t`` s, ``stamp_ns``, each quantity, and its standard deviation ``sd_…``."""
-        found: dict[str, NDArray[Any]] = {"t": self.time, "stamp_ns": self.stamp_ns}
+        columns: dict[str, NDArray[Any]] = {"t": self.time, "stamp_ns": self.stamp_ns}
         for group, names in _AXES.items():
             values, covariance = getattr(self, group), getattr(self, f"{group}_covariance")
             for k, name in enumerate(names):
-                found[name], found[f"sd_{name}"] = values[:, k], np.sqrt(covariance[:, k, k])
-        return found
+                columns[name], columns[f"sd_{name}"] = values[:, k], np.sqrt(covariance[:, k, k])
+        return columns
 
     def to_pandas(self) -> Any:
         """The columns as a ``pandas.DataFrame``.
@@ -112,6 +112,6 @@ def estimates_of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Est
 
 def _nan_unless(known: NDArray[Any], values: FloatArray) -> FloatArray:
     """The values where known, else nan."""
-    found: FloatArray = values.copy()
-    found[known == 0] = np.nan
-    return found
+    masked: FloatArray = values.copy()
+    masked[known == 0] = np.nan
+    return masked

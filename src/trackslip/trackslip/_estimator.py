@@ -136,16 +136,16 @@ def _column_and_unit(where: str, value: object) -> dict[str, Any]:
 def _implied_parameters(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Parameters that sources imply: lists by role, ``use_heading`` of poses, and ``start`` without poses."""
     lists: dict[str, list[str]] = {name: [] for name in _SOURCE_LISTS.values()}
-    found: dict[str, Any] = {}
+    heading_flags: dict[str, Any] = {}
     for topic, source in topics.items():
         role = str(source.get("role", ROLE_OF_TOPIC.get(topic)))
         if role not in _SOURCE_LISTS or topic == REFERENCE:
             continue
         lists[_SOURCE_LISTS[role]].append(topic)
         if role == "pose" and not _HEADING_FIELDS & source.keys():
-            found[f"sources.{group_name(topic)}.use_heading"] = False
+            heading_flags[f"sources.{group_name(topic)}.use_heading"] = False
     start = {} if lists["pose_sources"] else {"start": "initial_pose"}
-    return {**{name: topics or [""] for name, topics in lists.items()}, **start, **found}
+    return {**{name: topics or [""] for name, topics in lists.items()}, **start, **heading_flags}
 
 
 def _column_names(tree: Any) -> Iterator[str]:
@@ -166,17 +166,17 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
         accepted = "a data frame of pandas or polars, or a mapping of name → array"
         raise InputError(f"frame: a {type(frame).__name__} is no table; accepted: {accepted}")
     keys = {str(key): key for key in getattr(frame, "columns", frame)}
-    found: dict[str, NDArray[Any]] = {}
+    columns: dict[str, NDArray[Any]] = {}
     for name in names:
         if name not in keys:
             raise InputError(f"frame: no column '{name}'{suggestion(name, list(keys))}")
-        found[name] = _cells(name, frame[keys[name]])
-        if len(found[name]) != len(found[names[0]]):
-            lengths = f"column '{name}' has {len(found[name])} rows, '{names[0]}' {len(found[names[0]])}"
+        columns[name] = _cells(name, frame[keys[name]])
+        if len(columns[name]) != len(columns[names[0]]):
+            lengths = f"column '{name}' has {len(columns[name])} rows, '{names[0]}' {len(columns[names[0]])}"
             raise InputError(f"frame: {lengths}; accepted: columns of one length")
-    if not len(found[names[0]]):
+    if not len(columns[names[0]]):
         raise InputError("frame: no rows; accepted: one or more")
-    return pl.DataFrame(found)
+    return pl.DataFrame(columns)
 
 
 def _cells(name: str, column: object) -> NDArray[Any]:

@@ -70,9 +70,9 @@ def load(bag: Path | str, namespace: str = "") -> Log:
     Raises:
         InputError: it cannot be read.
     """
-    path, of = Path(as_text("bag", bag)), as_text("namespace", namespace)
-    with open_bag(path, of) as opened:
-        return _overview(opened, path, of)
+    path, name = Path(as_text("bag", bag)), as_text("namespace", namespace)
+    with open_bag(path, name) as opened:
+        return _overview(opened, path, name)
 
 
 def _overview(bag: Bag, path: Path, namespace: str) -> Log:

@@ -85,8 +85,8 @@ def replay(
         collect_output() as notes,
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
-        given = as_name("vehicle", vehicle), as_texts("params", params), settings
-        return replay_open_bag(opened, options, given, notes)
+        parameters = as_name("vehicle", vehicle), as_texts("params", params), settings
+        return replay_open_bag(opened, options, parameters, notes)
 
 
 def replay_open_bag(
@@ -98,16 +98,16 @@ def replay_open_bag(
 ) -> Result:
     """Replay an open bag; ``parameters``: vehicle, files and settings; ``notes``: receives messages."""
     vehicle, params, settings = parameters
-    given = params, setting_texts(settings)
-    p, filters, reference = replay_options.read_settings(bag, options, *given, vehicle)
-    of_soil = replay_options.soil_parameters_of(bag, p, *given)
+    layers = params, setting_texts(settings)
+    p, filters, reference = replay_options.read_settings(bag, options, *layers, vehicle)
+    soil_p = replay_options.soil_parameters_of(bag, p, *layers)
     rows = GrowingRows(ESTIMATE)
-    found = run.replay(bag, p, filters, reference, of_soil, lambda part: rows.add(part.estimates))
-    remarks = (*([bag.damage] if bag.damage else []), *notes)
+    result = run.replay(bag, p, filters, reference, soil_p, lambda part: rows.add(part.estimates))
+    all_notes = (*([bag.damage] if bag.damage else []), *notes)
     return Result(
         estimates_of_rows(sort_by_stamp(rows.rows()), datum),
-        summary(found, found.elapsed_s),
-        check_of_result(found.setup),
-        remarks,
-        text(found, found.elapsed_s),
+        summary(result, result.elapsed_s),
+        check_of_result(result.setup),
+        all_notes,
+        text(result, result.elapsed_s),
     )

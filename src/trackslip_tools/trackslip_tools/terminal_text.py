@@ -29,17 +29,19 @@ def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence
     """
     lines = [list(map(str, heading)), *(list(map(str, row)) for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    stated = []
-    if sum(widths) + len(_GAP) * (len(widths) - 1) > WIDTH and len(rows) > 1:
-        stated = [k for k in range(keys) if lines[0][k] and len({line[k] for line in lines[1:]}) == 1]
-    columns = [k for k in range(keys) if k not in stated]
-    above = ", ".join(f"{lines[0][k]} {lines[1][k]}" for k in stated)
-    parts, left = [above] if above else [], list(range(keys, len(widths)))
-    while left or not parts:
-        used = list(columns)
-        while left and (len(used) == len(columns) or _total_width(widths, [*used, left[0]]) <= WIDTH):
-            used.append(left.pop(0))
-        parts.append("\n".join(_align_cells(line, used, widths, right) for line in lines))
+    constant = []
+    if _total_width(widths, range(len(widths))) > WIDTH and len(rows) > 1:
+        constant = [k for k in range(keys) if lines[0][k] and len({line[k] for line in lines[1:]}) == 1]
+    columns = [k for k in range(keys) if k not in constant]
+    heads = ", ".join(f"{lines[0][k]} {lines[1][k]}" for k in constant)
+    parts, remaining = [heads] if heads else [], list(range(keys, len(widths)))
+    while remaining or not parts:
+        shown = list(columns)
+        while remaining and (
+            len(shown) == len(columns) or _total_width(widths, [*shown, remaining[0]]) <= WIDTH
+        ):
+            shown.append(remaining.pop(0))
+        parts.append("\n".join(_align_cells(line, shown, widths, right) for line in lines))
     return "\n\n".join(parts)
 
 
@@ -64,17 +66,17 @@ def format_for_terminal(markdown: str) -> str:
     Key columns of a table are the left-aligned ones (``---`` instead of ``---:``), and the noises σ that
     follow them.
     """
-    found: list[str] = []
+    parts: list[str] = []
     block: list[str] = []
     for line in [*markdown.split("\n"), ""]:
         if line.startswith("|"):
             block.append(line)
             continue
         if block:
-            found.append(_fold_table([_split_cells(one) for one in block]))
+            parts.append(_fold_table([_split_cells(one) for one in block]))
             block = []
-        found.append(wrap_line(line, ""))
-    return "\n".join(found[:-1])
+        parts.append(wrap_line(line, ""))
+    return "\n".join(parts[:-1])
 
 
 def _fold_table(lines: list[list[str]]) -> str:

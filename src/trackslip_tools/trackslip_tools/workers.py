@@ -50,11 +50,11 @@ def open_workers(count: int, scheduler: str | None = None, shared: Any = None) -
         InputError: no scheduler answers, it has no workers, or a worker ended.
     """
     if scheduler is not None:
-        with _dask_cluster(scheduler, shared) as mapped:
-            yield mapped
+        with _dask_cluster(scheduler, shared) as map_items:
+            yield map_items
     elif count > 1:
-        with _process_pool(count, shared) as mapped:
-            yield mapped
+        with _process_pool(count, shared) as map_items:
+            yield map_items
     else:
         yield lambda function, items: (function(shared, item) for item in items)
 
@@ -67,7 +67,7 @@ def _process_pool(count: int, shared: Any) -> Iterator[Map]:
         count, multiprocessing.get_context("spawn"), initializer=_initialise_process, initargs=(shared,)
     )
 
-    def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    def map_items(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         try:
             with _process_environment():  # for processes that start later
                 futures = [pool.submit(_call_function, function, item) for item in items]
@@ -82,7 +82,7 @@ def _process_pool(count: int, shared: Any) -> Iterator[Map]:
             for _ in range(count):
                 pool.submit(os.getpid)  # starts a process
         compile_kernels()
-        yield mapped
+        yield map_items
     except BaseException:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
@@ -117,7 +117,7 @@ def _process_environment() -> Iterator[None]:
     """
     resource_tracker.ensure_running()  # starting it later would unblock the signal
     pressed: list[int] = []
-    own = (
+    handler = (
         signal(SIGINT, lambda number, _: pressed.append(number))
         if current_thread() is main_thread()
         else None
@@ -133,8 +133,8 @@ def _process_environment() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-        if own is not None:
-            signal(SIGINT, own)
+        if handler is not None:
+            signal(SIGINT, handler)
         pthread_sigmask(SIG_SETMASK, mask)
     if pressed:
         raise KeyboardInterrupt
@@ -161,7 +161,7 @@ def _dask_cluster(address: str, shared: Any) -> Iterator[Map]:
         except TimeoutError as error:
             raise InputError(f"--scheduler {address}: it has no workers; accepted: one at least") from error
 
-        def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        def map_items(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
             futures = [client.submit(function, sent, item, pure=False) for item in items]
             try:
                 yield from _results(futures)
@@ -172,4 +172,4 @@ def _dask_cluster(address: str, shared: Any) -> Iterator[Map]:
                     f"--scheduler {address}: it or its workers ended (out of memory?)"
                 ) from error
 
-        yield mapped
+        yield map_items

@@ -55,17 +55,17 @@ def calibrate(
         "gyro_delay": timing.gyro_delay(recordings),
         **standstill.pressure_offsets(recordings),
     }
-    unit = _gyro_of(findings)
-    findings["effective_rolling_radius"] = tracks.distance_per_radian(recordings, unit)
+    sensor = _gyro_of(findings)
+    findings["effective_rolling_radius"] = tracks.distance_per_radian(recordings, sensor)
     findings["rolling_radius"] = _rolling_radius(
         findings["effective_rolling_radius"], hard_ground=hard_ground
     )
     radius = findings["rolling_radius"].value or p.vehicle.kinematics.rolling_radius
     if not hard_ground:
         findings["common_slip"] = _common_slip(findings["effective_rolling_radius"], radius)
-    turns = tracks.turning_gain(recordings, unit)
+    turns = tracks.turning_gain(recordings, sensor)
     tread = p.vehicle.kinematics.tread
-    findings["asymmetry"] = tracks.asymmetry(recordings, unit, turns.gain.value, radius)
+    findings["asymmetry"] = tracks.asymmetry(recordings, sensor, turns.gain.value, radius)
     findings |= _turning_findings(turns.gain, findings["gyro_scale"], radius, tread)
     findings["tread"] = empty_finding(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
@@ -92,7 +92,9 @@ def _confirmed_names(
         present |= {"gyro_sign": p.gyros()[gyro].sign, "gyro_scale": p.gyros()[gyro].scale}
     intervals = {name: findings[name].interval for name in present}
     return tuple(
-        n for n, interval in intervals.items() if interval and interval[0] <= present[n] <= interval[1]
+        name
+        for name, interval in intervals.items()
+        if interval and interval[0] <= present[name] <= interval[1]
     )
 
 
@@ -180,8 +182,8 @@ def _node_parameters(
     efficiency = findings["turning_efficiency"]
     if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
         add(NODE, "turning.initial_efficiency", efficiency.rounded_value)
-        uncertain = max(spread, efficiency.interval[1] - efficiency.value, _MIN_EFFICIENCY_STDDEV)
-        add(NODE, "turning.initial_efficiency_stddev", round_value(uncertain, efficiency.decimals))
+        stddev = max(spread, efficiency.interval[1] - efficiency.value, _MIN_EFFICIENCY_STDDEV)
+        add(NODE, "turning.initial_efficiency_stddev", round_value(stddev, efficiency.decimals))
     for node, offset in _time_offsets(findings, sources).items():
         add(node, "time_offset", offset)
     return parameters

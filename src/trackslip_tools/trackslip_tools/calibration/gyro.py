@@ -63,11 +63,13 @@ class _HeadingsWithGyro(NamedTuple):
 
     def increments(self) -> Increments:
         """Increments of heading between block means, where ``is_usable``."""
-        kept = self.is_usable
-        joined = kept & np.concatenate(([False], kept[:-1]))
+        usable = self.is_usable
+        joined = usable & np.concatenate(([False], usable[:-1]))
         variances = self._block_means(self.variances) / self._block_sizes
         z, walk = np.diff(self._block_means(self.headings)), np.diff(self._block_means(self.t))
-        return Increments(z[kept], variances[:-1][kept], variances[1:][kept], walk[kept], joined[kept])
+        return Increments(
+            z[usable], variances[:-1][usable], variances[1:][usable], walk[usable], joined[usable]
+        )
 
     @property
     def is_usable(self) -> BoolArray:
@@ -78,8 +80,8 @@ class _HeadingsWithGyro(NamedTuple):
 
     def design_matrix(self, delay: float) -> FloatArray:
         """(n, 3) increments of gyro angle, gyro rate and time between block means, where ``is_usable``."""
-        at = self.t - delay
-        columns = (self.angle(at), self.angle(at, 1), self.t)
+        gyro_times = self.t - delay
+        columns = (self.angle(gyro_times), self.angle(gyro_times, 1), self.t)
         return np.column_stack([np.diff(self._block_means(column)) for column in columns])[self.is_usable]
 
     @property
@@ -99,18 +101,18 @@ def mounting_angles(recordings: Sequence[Recording]) -> dict[str, Finding]:
             inside = recording.gyro.slice_between(*span)
             rows.append(rates[inside])
             clusters.append(block_numbers(t[inside], 1.0, k))
-    rates, cluster, turned = np.concatenate(rows), np.concatenate(clusters), _total_turn(recordings)
-    if turned < LEAST_TURN:
-        return dict.fromkeys(("imu_roll", "imu_pitch"), _insufficient_turn(turned, "rad"))
+    rates, cluster, total = np.concatenate(rows), np.concatenate(clusters), _total_turn(recordings)
+    if total < LEAST_TURN:
+        return dict.fromkeys(("imu_roll", "imu_pitch"), _insufficient_turn(total, "rad"))
     X = np.column_stack((rates[:, 2], np.ones(len(rates))))
     findings = {}
-    for name, leaning in (("imu_roll", rates[:, 1]), ("imu_pitch", -rates[:, 0])):
-        fit = fit_clustered(X, leaning, cluster)
+    for name, rate in (("imu_roll", rates[:, 1]), ("imu_pitch", -rates[:, 0])):
+        fit = fit_clustered(X, rate, cluster)
         if fit is None:
             findings[name] = empty_finding("one turn only", "rad")
         else:
             findings[name] = make_finding(
-                math.atan(fit.values[0]), fit.half_width(), "rad", f"{turned:.1f} rad turned"
+                math.atan(fit.values[0]), fit.half_width(), "rad", f"{total:.1f} rad turned"
             )
     return findings
 
@@ -122,23 +124,23 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     if not pairs:
         reason = "no heading of a pose or heading source while the gyro is recorded"
         return {"gyro_scale": empty_finding(reason, "1"), delay_name: empty_finding(reason, "s")}
-    turned = _total_turn(recordings)
-    if turned < LEAST_TURN:
-        return {"gyro_scale": _insufficient_turn(turned, "1"), delay_name: _insufficient_turn(turned, "s")}
-    (of_all, delay), (fit, _) = (
+    total = _total_turn(recordings)
+    if total < LEAST_TURN:
+        return {"gyro_scale": _insufficient_turn(total, "1"), delay_name: _insufficient_turn(total, "s")}
+    (fit_of_all, delay), (fit, _) = (
         _fit_scale_and_delay(pairs),
         _fit_scale_and_delay([pair.with_block_means() for pair in pairs]),
     )
-    if of_all is None or fit is None or not (of_all.values[0] and fit.values[0]):
+    if fit_of_all is None or fit is None or not (fit_of_all.values[0] and fit.values[0]):
         reason = "headings and gyro do not fit each other"
         return {"gyro_scale": empty_finding(reason, "1"), delay_name: empty_finding(reason, "s")}
-    basis = f"{sum(len(pair.t) for pair in pairs)} headings, {turned:.1f} rad turned"
+    basis = f"{sum(len(pair.t) for pair in pairs)} headings, {total:.1f} rad turned"
     inverse = float(fit.values[0])
-    uncertain = of_all.half_width(1) / abs(float(of_all.values[0]))
-    delay_finding = make_finding(delay, uncertain, "s", basis)
-    if uncertain > _LARGEST_DELAY_UNCERTAINTY:
+    half_width = fit_of_all.half_width(1) / abs(float(fit_of_all.values[0]))
+    delay_finding = make_finding(delay, half_width, "s", basis)
+    if half_width > _LARGEST_DELAY_UNCERTAINTY:
         delay_finding = empty_finding(
-            f"the rate of turn changes too little to find it better than ±{uncertain:.2f} s", "s"
+            f"the rate of turn changes too little to find it better than ±{half_width:.2f} s", "s"
         )
     return {
         "gyro_scale": make_finding(1.0 / inverse, fit.half_width() / inverse**2, "1", basis),
@@ -167,27 +169,27 @@ def _fit_scale_and_delay(pairs: Sequence[_HeadingsWithGyro]) -> tuple[Fit | None
 
 def _match_headings(recording: Recording) -> _HeadingsWithGyro | None:
     """Headings and gyro; None if either is missing. Headings with a large variance are left out."""
-    gyro, (t, shown) = recording.gyro, recording.headings
+    gyro, (t, readings) = recording.gyro, recording.headings
     if len(gyro.t) < 4:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
-    certain = inside & (shown[:, 1] <= _LARGEST_HEADING_STDDEV**2)
+    usable = inside & (readings[:, 1] <= _LARGEST_HEADING_STDDEV**2)
     t, headings, variances = (
-        t[certain],
-        shown[certain, 0],
-        np.maximum(shown[certain, 1], _MIN_HEADING_STDDEV**2),
+        t[usable],
+        readings[usable, 0],
+        np.maximum(readings[usable, 1], _MIN_HEADING_STDDEV**2),
     )
     if len(t) < 4:
         return None
     angle = CubicHermiteSpline(gyro.t, recording.gyro_angle, gyro.values[:, 2])
     X = np.column_stack((angle(t), t, np.ones(len(t))))
-    as_turned = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
-    rest = np.unwrap(headings - as_turned)  # removes whole turns, also after missing fixes
-    steps = np.abs(np.diff(rest) - np.median(np.diff(rest)))
-    follows = steps <= _OUTLIER_SIGMAS * max(1.4826 * float(np.median(steps)), 10.0 * _MIN_HEADING_STDDEV)
-    if follows.sum() < 4:
+    predicted = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
+    residuals = np.unwrap(headings - predicted)  # removes whole turns, also after missing fixes
+    steps = np.abs(np.diff(residuals) - np.median(np.diff(residuals)))
+    consistent = steps <= _OUTLIER_SIGMAS * max(1.4826 * float(np.median(steps)), 10.0 * _MIN_HEADING_STDDEV)
+    if consistent.sum() < 4:
         return None
-    return _HeadingsWithGyro(t, as_turned + rest, variances, follows, gyro, angle, np.arange(len(t)))
+    return _HeadingsWithGyro(t, predicted + residuals, variances, consistent, gyro, angle, np.arange(len(t)))
 
 
 def _total_turn(recordings: Sequence[Recording]) -> float:
@@ -200,5 +202,5 @@ def _total_turn(recordings: Sequence[Recording]) -> float:
     return total
 
 
-def _insufficient_turn(turned: float, unit: str) -> Finding:
-    return empty_finding(f"turns of {turned:.2f} rad in all; needed: {LEAST_TURN:g} rad", unit)
+def _insufficient_turn(total: float, unit: str) -> Finding:
+    return empty_finding(f"turns of {total:.2f} rad in all; needed: {LEAST_TURN:g} rad", unit)

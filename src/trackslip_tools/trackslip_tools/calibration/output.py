@@ -22,8 +22,8 @@ def text(calibration: Calibration) -> str:
     """A line for each finding with its evidence, then the values to adopt, and the confirmed parameters."""
     lines = [line for name, finding in calibration.findings.items() for line in _finding_lines(name, finding)]
     adopted = {name: value for values in calibration.parameters.values() for name, value in values.items()}
-    named = ", ".join(f"{name} {value:g}" for name, value in adopted.items())
-    lines.append(f"to adopt (--output writes it): {named or 'nothing'}")
+    listed = ", ".join(f"{name} {value:g}" for name, value in adopted.items())
+    lines.append(f"to adopt (--output writes it): {listed or 'nothing'}")
     if calibration.confirmed:
         names = ", ".join(calibration.confirmed)
         lines.append(f"consistent with the parameters, not written (--all writes it): {names}")

@@ -64,8 +64,8 @@ class _Request(NamedTuple):
         """Stamps and values of the readings within the limits."""
         with np.errstate(all="ignore"):  # overflow of squares
             values = self.values_of(rows)
-        sound = (np.abs(values[:, : len(self.limits)]) <= self.limits).all(axis=1)
-        return rows["stamp_ns"][sound], values[sound]
+        is_valid = (np.abs(values[:, : len(self.limits)]) <= self.limits).all(axis=1)
+        return rows["stamp_ns"][is_valid], values[is_valid]
 
 
 _MAX_SPROCKET_SPEED = 1e3  # rad/s, of a sprocket
@@ -91,7 +91,6 @@ class Series(NamedTuple):
 class Recording:
     """One drive; series without messages in the bag are empty."""
 
-    name: str
     sprockets: Series  # left, right: rad, continuous
     gyro: Series  # about x, y, z of the unit: rad/s, uncorrected
     poses: Series  # x m, y m, heading rad (continuous); their variances
@@ -139,45 +138,46 @@ def read_recording(
         InputError: the bag lacks the sprockets, or a topic has an unsupported type.
     """
     require_topics(bag, [SPROCKETS])
-    of_poses = (_MAX_COORDINATE, _MAX_COORDINATE, _MAX_COORDINATE, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
-    requested = (
+    pose_limits = (_MAX_COORDINATE, _MAX_COORDINATE, _MAX_COORDINATE, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
+    requests = (
         _Request(SPROCKETS, SprocketFields, _sprockets, (_MAX_SPROCKET_SPEED,) * 2),
         _Request(gyro, ImuFields, _rates, (_MAX_GYRO_RATE,) * 3),
-        _Request(poses, PoseFields, _poses, of_poses),
+        _Request(poses, PoseFields, _poses, pose_limits),
         _Request(HYDRAULICS, HydraulicsFields, _hydraulics, (_MAX_PRESSURE,) * 2),
-        _compass_request(bag, *compass) if compass else _Request("", PoseFields, _poses, of_poses),
+        _compass_request(bag, *compass) if compass else _Request("", PoseFields, _poses, pose_limits),
     )
-    (driven, turns, fixes, oil, turned), left_out = _read_series(bag, advance, requested)
-    driven = _sprocket_angles(driven)
-    fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
-    turned.values[:, 0] = np.unwrap(turned.values[:, 0])
-    seen = turned if len(turned.t) else None
-    found = motion_states(driven, limits)
-    return Recording(bag.path.name, driven, turns, fixes, oil, found, seen, left_out)
+    (sprockets, rates, pose_series, hydraulics, headings), left_out = _read_series(bag, advance, requests)
+    sprockets = _sprocket_angles(sprockets)
+    pose_series.values[:, 2] = np.unwrap(pose_series.values[:, 2])
+    headings.values[:, 0] = np.unwrap(headings.values[:, 0])
+    motion, compass_series = motion_states(sprockets, limits), headings if len(headings.t) else None
+    return Recording(sprockets, rates, pose_series, hydraulics, motion, compass_series, left_out)
 
 
-def _compass_request(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
+def _compass_request(bag: Bag, topic: str, source: HeadingSource) -> _Request:
     """Request of (n, 2) heading and its variance, for the message type in the bag."""
     types = {relative_name(name): info.type_name for name, info in bag.topics.items()}
     is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
 
     def values(rows: Rows) -> FloatArray:
-        variances = np.full(len(rows), stated.stddev**2)
+        variances = np.full(len(rows), source.stddev**2)
         if not is_imu:
-            return np.column_stack((stated.from_east(headings_of(rows)), variances))
+            return np.column_stack((source.from_east(headings_of(rows)), variances))
         variances = np.where(rows["variance_z"] != 0.0, rows["variance_z"], variances)
-        there = rows["absent"] != ABSENT
-        return np.column_stack((np.where(there, stated.from_east(headings_of(rows)), np.nan), variances))
+        has_orientation = rows["absent"] != ABSENT
+        return np.column_stack(
+            (np.where(has_orientation, source.from_east(headings_of(rows)), np.nan), variances)
+        )
 
     return _Request(topic, OrientationFields if is_imu else QuaternionFields, values, (_MAX_COORDINATE,) * 2)
 
 
 def motion_states(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
     """(n,) motion at each sample: standstill, straight or turning; unknown at the first."""
-    found = np.full(len(sprockets.t), int(Motion.UNKNOWN))
+    states = np.full(len(sprockets.t), int(Motion.UNKNOWN))
     motion, speeds = make_table(MotionRecord, MOTION, 1), make_table(SpeedsRecord, SPEEDS, 1)
-    _fill_motion_states(sprockets.t, sprockets.values, motion, speeds, limits_record(limits), found)
-    return found
+    _fill_motion_states(sprockets.t, sprockets.values, motion, speeds, limits_record(limits), states)
+    return states
 
 
 @compiled
@@ -187,7 +187,7 @@ def _fill_motion_states(
     motion: Table[MotionRecord],
     speeds: Table[SpeedsRecord],
     limits: Table[LimitsRecord],
-    found: NDArray[np.int64],
+    states: NDArray[np.int64],
 ) -> None:
     motion[0].changing = True
     for k in range(1, len(t)):
@@ -195,47 +195,47 @@ def _fill_motion_states(
         speeds[0].left = (angles[k, 0] - angles[k - 1, 0]) / dt
         speeds[0].right = (angles[k, 1] - angles[k - 1, 1]) / dt
         update_motion(motion[0], speeds[0], dt, limits[0])
-        found[k] = motion[0].motion
+        states[k] = motion[0].motion
 
 
 def _read_series(
-    bag: Bag, advance: Callable[[float], None], requested: Sequence[_Request]
+    bag: Bag, advance: Callable[[float], None], requests: Sequence[_Request]
 ) -> tuple[list[Series], dict[str, int]]:
     """Topics by stamp, the first reading of each stamp; and topic → number of invalid readings.
 
     Readings are invalid outside their limits, and far from the median stamp of the first topic (another
     clock).
     """
-    parts = [[one.valid_readings(np.empty(0, dtype_of(one.kind)))] for one in requested]
+    parts = [[request.valid_readings(np.empty(0, dtype_of(request.kind)))] for request in requests]
     counts: Counter[str] = Counter()
     reached_ns = bag.start_ns
-    for stretch in read_tables(bag, [one.topic for one in requested if one.topic]):
+    for stretch in read_tables(bag, [request.topic for request in requests if request.topic]):
         newest_ns = max((int(table.log_times_ns.max()) for table in stretch.values()), default=reached_ns)
         advance(max(newest_ns - reached_ns, 0) * 1e-9)
         reached_ns = max(newest_ns, reached_ns)
         tables = {relative_name(name): table for name, table in stretch.items()}
-        for one, own in zip(requested, parts, strict=True):
-            if one.topic in tables:
-                own.append(one.valid_readings(_topic_rows(bag, one, tables[one.topic])))
-                counts[one.topic] += len(tables[one.topic]) - len(own[-1][0])
-    series, usual_ns = [], None
-    for one in requested:
+        for request, part in zip(requests, parts, strict=True):
+            if request.topic in tables:
+                part.append(request.valid_readings(_topic_rows(bag, request, tables[request.topic])))
+                counts[request.topic] += len(tables[request.topic]) - len(part[-1][0])
+    series, median_ns = [], None
+    for request in requests:
         stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts.pop(0), strict=True))
-        if usual_ns is None and len(stamps_ns):
-            usual_ns = int(np.median(stamps_ns))
-        near = np.abs((stamps_ns - (usual_ns or 0)).astype(np.float64)) <= _MAX_CLOCK_DIFFERENCE_NS
-        counts[one.topic] += int((~near).sum())
-        series.append(_sorted_series(stamps_ns[near], values[near], bag.start_ns))
+        if median_ns is None and len(stamps_ns):
+            median_ns = int(np.median(stamps_ns))
+        is_near = np.abs((stamps_ns - (median_ns or 0)).astype(np.float64)) <= _MAX_CLOCK_DIFFERENCE_NS
+        counts[request.topic] += int((~is_near).sum())
+        series.append(_sorted_series(stamps_ns[is_near], values[is_near], bag.start_ns))
     return series, {topic: count for topic, count in counts.items() if count}
 
 
-def _topic_rows(bag: Bag, requested: _Request, table: TopicTable) -> Rows:
-    if RECORDS.get(table.type_name) not in _ACCEPTED_TYPES[requested.kind]:
+def _topic_rows(bag: Bag, request: _Request, table: TopicTable) -> Rows:
+    if RECORDS.get(table.type_name) not in _ACCEPTED_TYPES[request.kind]:
         accepted = " or ".join(
-            name for name, known in RECORDS.items() if known in _ACCEPTED_TYPES[requested.kind]
+            name for name, kind in RECORDS.items() if kind in _ACCEPTED_TYPES[request.kind]
         )
-        raise InputError(f"bag '{bag.path}': {requested.topic} is a {table.type_name}; accepted: {accepted}")
-    return table.rows(requested.kind)
+        raise InputError(f"bag '{bag.path}': {request.topic} is a {table.type_name}; accepted: {accepted}")
+    return table.rows(request.kind)
 
 
 def _sorted_series(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:

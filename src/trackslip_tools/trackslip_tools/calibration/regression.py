@@ -62,21 +62,21 @@ def half_width(stddev: float, dof: int) -> float:
 
 def fit_clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
     """Ordinary least squares; ``clusters`` (n,) numbers the cluster of each row. None: too few clusters."""
-    names, of = np.unique(clusters, return_inverse=True)
+    names, cluster_of_row = np.unique(clusters, return_inverse=True)
     count, size = len(names), X.shape[1]
     if count <= size:
         return None
     products = np.zeros((count, size, size + 1))  # XᵀX and Xᵀz of each cluster
     for i in range(size):
         for k, column in enumerate((*X.T, z)):
-            products[:, i, k] = np.bincount(of, X[:, i] * column, count)
+            products[:, i, k] = np.bincount(cluster_of_row, X[:, i] * column, count)
     total = products.sum(axis=0)
     values = _solve_normal_equations(total[np.newaxis])
     without = _solve_normal_equations(total - products)
     if values is None or without is None:  # a single cluster determines a coefficient
         return None
-    moved = without - values
-    return Fit(values[0], (count - 1) / count * moved.T @ moved, count - 1)
+    deviations = without - values
+    return Fit(values[0], (count - 1) / count * deviations.T @ deviations, count - 1)
 
 
 def fit_increments(X: FloatArray, data: Increments) -> Fit | None:
@@ -103,15 +103,15 @@ def _average_fits(X: FloatArray, data: Increments, size: float, rho: float) -> F
     limit = lowest[0] + _NEGLIGIBLE_DIFFERENCE
     while (farther := _fit_given_variances(X, data, size**2, rho)) is not None and farther[0] <= limit:
         size *= 2.0
-    found = [_fit_given_variances(X, data, root**2, rho) for root in np.linspace(0.0, size, _GRID_SIZE)]
-    solved = [each for each in found if each is not None]
-    costs = np.array([each[0] for each in solved])
+    fits = [_fit_given_variances(X, data, root**2, rho) for root in np.linspace(0.0, size, _GRID_SIZE)]
+    solved = [fit for fit in fits if fit is not None]
+    costs = np.array([fit[0] for fit in solved])
     weights = np.exp((costs.min() - costs) / 2.0)
     weights /= weights.sum()
-    values = sum(w * each[1] for w, each in zip(weights, solved, strict=True))
+    values = sum(w * fit[1] for w, fit in zip(weights, solved, strict=True))
     covariance = sum(
-        w * (each[2] + np.outer(each[1] - values, each[1] - values))
-        for w, each in zip(weights, solved, strict=True)
+        w * (fit[2] + np.outer(fit[1] - values, fit[1] - values))
+        for w, fit in zip(weights, solved, strict=True)
     )
     return Fit(np.asarray(values), np.asarray(covariance), len(data.z) - X.shape[1])
 
@@ -131,9 +131,9 @@ def _fit_given_variances(
     except (LinAlgError, np.linalg.LinAlgError, ValueError):
         return None
     values = covariance @ (whitened[:, :-1].T @ whitened[:, -1])
-    rest = whitened[:, -1] - whitened[:, :-1] @ values
+    residuals = whitened[:, -1] - whitened[:, :-1] @ values
     sign, logarithm = np.linalg.slogdet(A)
-    cost = 2.0 * float(np.sum(np.log(L[0]))) + float(logarithm) + float(rest @ rest)
+    cost = 2.0 * float(np.sum(np.log(L[0]))) + float(logarithm) + float(residuals @ residuals)
     return (cost, values, covariance) if sign > 0.0 and math.isfinite(cost) else None
 
 

@@ -33,31 +33,33 @@ _CONTRADICTED_FINDINGS: Mapping[str, Sequence[str]] = {  # cause → findings th
 
 def remove_contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> dict[str, Finding]:
     """The findings, without the values that a mistake of the setup makes wrong."""
-    kept = dict(findings)
+    remaining = dict(findings)
     wrong = {
         cause.cause: _CONTRADICTED_FINDINGS.get(cause.cause, ()) for setup in setups for cause in setup.causes
     }
     wrong |= {question.what: _TRACKS for setup in setups for question in setup.open_questions}
     for cause, names in wrong.items():
         for name in names:
-            if name in kept and kept[name].has_value:
-                kept[name] = empty_finding(f"{cause}: undo it first", kept[name].unit)
-    return kept
+            if name in remaining and remaining[name].has_value:
+                remaining[name] = empty_finding(f"{cause}: undo it first", remaining[name].unit)
+    return remaining
 
 
 def combine_measured(setups: Sequence[Result]) -> dict[str, Finding]:
     """Lever arms, yaw offsets and delays by source, combined over all bags."""
     groups: dict[str, list[MeasuredValue]] = {}
     for setup in setups:
-        for one in setup.measured:
-            groups.setdefault(f"{one.name} of {one.source}", []).append(one)
-    return {name: _weighted_mean(own) for name, own in groups.items()}
+        for value in setup.measured:
+            groups.setdefault(f"{value.name} of {value.source}", []).append(value)
+    return {name: _weighted_mean(values) for name, values in groups.items()}
 
 
-def _weighted_mean(own: Sequence[MeasuredValue]) -> Finding:
-    weights = [1.0 / max(one.half_width, 1e-9) ** 2 for one in own]
+def _weighted_mean(values: Sequence[MeasuredValue]) -> Finding:
+    weights = [1.0 / max(measured.half_width, 1e-9) ** 2 for measured in values]
     total = sum(weights)
-    value = sum(w * one.value for w, one in zip(weights, own, strict=True)) / total
-    scatter = sum(w * (one.value - value) ** 2 for w, one in zip(weights, own, strict=True))
-    spread = math.sqrt(max(1.0, scatter / max(len(own) - 1, 1)) / total)
-    return make_finding(value, spread, own[0].unit, "; ".join(dict.fromkeys(one.basis for one in own)))
+    value = sum(w * measured.value for w, measured in zip(weights, values, strict=True)) / total
+    scatter = sum(w * (measured.value - value) ** 2 for w, measured in zip(weights, values, strict=True))
+    spread = math.sqrt(max(1.0, scatter / max(len(values) - 1, 1)) / total)
+    return make_finding(
+        value, spread, values[0].unit, "; ".join(dict.fromkeys(measured.basis for measured in values))
+    )

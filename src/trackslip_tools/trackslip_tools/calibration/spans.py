@@ -29,8 +29,8 @@ def motion_spans(
     t = recording.sprockets.t
     same = (recording.motion[1:] == motion) & (np.diff(t) <= LONGEST_GAP)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False])).astype(np.int64)))
-    found = [Span(t[a] + settling, t[b] - settling) for a, b in edges.reshape(-1, 2)]
-    return [span for span in found if span.end - span.begin >= least]
+    spans = [Span(t[a] + settling, t[b] - settling) for a, b in edges.reshape(-1, 2)]
+    return [span for span in spans if span.end - span.begin >= least]
 
 
 def are_covered(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:

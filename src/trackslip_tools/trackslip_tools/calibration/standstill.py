@@ -41,8 +41,8 @@ def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
 def _closed_spool_readings(hydraulics: Series) -> Series:
     """The readings with both spools closed; readings without spool positions (nan) are kept."""
     t, values = hydraulics
-    kept = ~(np.abs(values[:, 2:]) > _CLOSED_SPOOL).any(axis=1)
-    return Series(t[kept], values[kept])
+    is_closed = ~(np.abs(values[:, 2:]) > _CLOSED_SPOOL).any(axis=1)
+    return Series(t[is_closed], values[is_closed])
 
 
 def _standstill_mean(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit: str) -> Finding:
@@ -55,8 +55,8 @@ def _standstill_mean(series: Sequence[tuple[Recording, Series, int]], sensor: st
             clusters.append(block_numbers(own.t[inside], 1.0, k))
     z = np.concatenate(readings) if readings else np.empty(0)
     cluster = np.concatenate(clusters) if clusters else np.empty(0, dtype=np.int64)
-    usual = _is_inlier(z, cluster)
-    fit = fit_clustered(np.ones((int(usual.sum()), 1)), z[usual], cluster[usual]) if len(z) else None
+    inlier = _is_inlier(z, cluster)
+    fit = fit_clustered(np.ones((int(inlier.sum()), 1)), z[inlier], cluster[inlier]) if len(z) else None
     if fit is None or fit.dof < _LEAST_BLOCKS:
         return empty_finding(
             f"the machine does not stand for {_LEAST_BLOCKS} s with its {sensor} recorded", unit
@@ -68,8 +68,8 @@ def _is_inlier(z: FloatArray, cluster: IntArray) -> BoolArray:
     """(n,) whether a reading belongs to a cluster whose mean is no outlier."""
     if not len(z):
         return np.zeros(0, dtype=np.bool_)
-    _, of = np.unique(cluster, return_inverse=True)
-    means = np.bincount(of, z) / np.bincount(of)
+    _, index = np.unique(cluster, return_inverse=True)
+    means = np.bincount(index, z) / np.bincount(index)
     deviations = np.abs(means - np.median(means))
-    usual: BoolArray = (deviations <= _OUTLIER_SIGMAS * 1.4826 * np.median(deviations))[of]
-    return usual
+    inlier: BoolArray = (deviations <= _OUTLIER_SIGMAS * 1.4826 * np.median(deviations))[index]
+    return inlier

@@ -50,11 +50,11 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
         return empty_finding("the drive is too short", "s")
     if unexplained > _LARGEST_UNEXPLAINED:
         return empty_finding(
-            f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of it is left over", "s"
+            f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of its variance is unexplained", "s"
         )
     spread = fit.half_width(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
     return make_finding(
-        delay - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} left over"
+        delay - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} unexplained"
     )
 
 
@@ -76,20 +76,20 @@ def _fit_to_sprockets(recordings: Sequence[Recording], delay: float) -> tuple[Fi
     rows, rates, clusters = [], [], []
     for k, recording in enumerate(recordings):
         t, z = recording.gyro.t, recording.gyro.values[:, 2]
-        at = t - delay
+        sprocket_times = t - delay
         margin = _SEARCH_RANGE + 2.0 * _WINDOW
-        kept = are_covered(recording.sprockets.t, t - margin, t + margin)
+        is_covered = are_covered(recording.sprockets.t, t - margin, t + margin)
         angles = [
-            np.interp(at + k * _WINDOW, recording.sprockets.t, recording.angle_difference)
-            for k in range(-2, 3)
+            np.interp(sprocket_times + step * _WINDOW, recording.sprockets.t, recording.angle_difference)
+            for step in range(-2, 3)
         ]
         rate = (angles[3] - angles[1]) / (2.0 * _WINDOW)
         change = (angles[4] - 2.0 * angles[2] + angles[0]) / (2.0 * _WINDOW) ** 2
-        ones = np.zeros((len(t), len(recordings)))
-        ones[:, k] = 1.0
-        rows.append(np.column_stack((rate, -change, ones))[kept])
-        rates.append(z[kept])
-        clusters.append(block_numbers(t[kept], _BLOCK_LENGTH, k))
+        intercepts = np.zeros((len(t), len(recordings)))
+        intercepts[:, k] = 1.0
+        rows.append(np.column_stack((rate, -change, intercepts))[is_covered])
+        rates.append(z[is_covered])
+        clusters.append(block_numbers(t[is_covered], _BLOCK_LENGTH, k))
     X, rate = np.concatenate(rows), np.concatenate(rates)
     fit = fit_clustered(X, rate, np.concatenate(clusters))
     if fit is None:

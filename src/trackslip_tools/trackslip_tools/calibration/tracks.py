@@ -43,8 +43,8 @@ class Gyro(NamedTuple):
 
     def headings(self, recording: Recording, t: FloatArray) -> FloatArray:
         """(n,) angles turned at these times, up to a common constant, rad; needs a recorded gyro."""
-        shown = np.interp(t, recording.gyro.t, recording.gyro_angle)
-        return np.asarray((shown - self.bias * t) / self.scale)
+        angles = np.interp(t, recording.gyro.t, recording.gyro_angle)
+        return np.asarray((angles - self.bias * t) / self.scale)
 
 
 class TurningGain(NamedTuple):
@@ -59,8 +59,8 @@ def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
     parts = []
     for recording in recordings:
         straights = motion_spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
-        for span, known in zip(straights, _has_gyro(recording, straights), strict=True):
-            part = _straight_increments(recording, span, gyro if known else None)
+        for span, has_gyro in zip(straights, _has_gyro(recording, straights), strict=True):
+            part = _straight_increments(recording, span, gyro if has_gyro else None)
             parts += [] if part is None else [part]
     distance = sum(float(np.abs(data.z.sum())) for data, _ in parts)
     if distance < LEAST_DISTANCE:
@@ -70,7 +70,7 @@ def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
     data = Increments(
         *(np.concatenate(columns) for columns in zip(*(part for part, _ in parts), strict=True))
     )
-    fit = fit_increments(np.concatenate([turned for _, turned in parts])[:, np.newaxis], data)
+    fit = fit_increments(np.concatenate([angles for _, angles in parts])[:, np.newaxis], data)
     if fit is None:
         return empty_finding("too few fixes on the straights", "m")
     return make_finding(fit.values[0], fit.half_width(), "m", f"{len(parts)} straights, {distance:.1f} m")
@@ -107,9 +107,9 @@ def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, r
         straights = motion_spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
         edges = np.array(straights).reshape(-1, 2)[_has_gyro(recording, straights)]
         if len(edges):
-            known = recording.sprockets.t
-            distances = np.append(distances, radius * np.diff(np.interp(edges, known, recording.mean_angle)))
-            steered = gain * np.diff(np.interp(edges, known, recording.angle_difference))
+            t = recording.sprockets.t
+            distances = np.append(distances, radius * np.diff(np.interp(edges, t, recording.mean_angle)))
+            steered = gain * np.diff(np.interp(edges, t, recording.angle_difference))
             turned = np.append(turned, np.diff(gyro.headings(recording, edges)) - steered)
     distance = float(np.abs(distances).sum())
     is_enough, numbers = distance >= LEAST_DISTANCE, np.arange(len(turned))
@@ -144,11 +144,11 @@ def _straight_increments(
     steps = np.diff(fixes[:, :2], axis=0) @ _COMPLEX
     if gyro is not None:
         steps = steps * np.exp(-1j * gyro.headings(recording, (t[1:] + t[:-1]) / 2.0))
-    turned = np.diff(np.interp(t, recording.sprockets.t, recording.mean_angle))
-    total = np.sum(steps) * np.sign(np.sum(turned))
+    angles = np.diff(np.interp(t, recording.sprockets.t, recording.mean_angle))
+    total = np.sum(steps) * np.sign(np.sum(angles))
     if total == 0.0:
         return None
     along = np.real(steps * np.conj(total) / abs(total))
     variances = np.maximum(fixes[:, 3:5].mean(axis=1), _MIN_POSITION_STDDEV**2)
     joined = np.arange(len(along)) > 0
-    return Increments(along, variances[:-1], variances[1:], np.abs(turned), joined), turned
+    return Increments(along, variances[:-1], variances[1:], np.abs(angles), joined), angles

@@ -46,8 +46,8 @@ def check_collected(collector: Collector) -> Result:
 
 def remedy_settings(result: Result) -> list[str]:
     """Settings of the remedies, for ``--set``; empty if a cause has another remedy."""
-    found = [_SETTING.findall(cause.remedy) for cause in result.causes]
-    return [one for settings in found for one in settings] if all(found) else []
+    settings_by_cause = [_SETTING.findall(cause.remedy) for cause in result.causes]
+    return [one for settings in settings_by_cause for one in settings] if all(settings_by_cause) else []
 
 
 def setup_summary(result: Result) -> str:

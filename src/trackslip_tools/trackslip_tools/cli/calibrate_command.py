@@ -63,11 +63,11 @@ def run(args: argparse.Namespace) -> int:
             with open_bag(path, args.namespace) as bag:
                 replay_options.note_damage(bag)
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
-                moved_on = scale_progress(advance, bag.duration_s)
-                recordings.append(read_recording(bag, gyro, poses, p.motion, compass, moved_on))
+                advance_bag = scale_progress(advance, bag.duration_s)
+                recordings.append(read_recording(bag, gyro, poses, p.motion, compass, advance_bag))
                 setups.append(check_bag(bag, p))
             for topic, count in recordings[-1].left_out.items():
-                why = "no numbers of a machine, or stamped by another clock"
+                why = "values out of range, or stamps of another clock"
                 show(f"note: {path}: {count} messages of {topic} are left out: {why}", file=sys.stderr)
     with progress_bar(None, "calibrating"):
         result = calibrate(
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
     """Topics of gyro and poses; '' if there is none."""
-    there = {relative_name(topic) for topic, info in bag.topics.items() if info.count}
-    gyro = args.gyro or next((source for source in p.yaw_rate_sources if source in there), "")
-    poses = args.poses or next((s for s in (*p.pose_sources, _REFERENCE) if s in there), "")
+    topics = {relative_name(topic) for topic, info in bag.topics.items() if info.count}
+    gyro = args.gyro or next((source for source in p.yaw_rate_sources if source in topics), "")
+    poses = args.poses or next((s for s in (*p.pose_sources, _REFERENCE) if s in topics), "")
     return relative_name(gyro), relative_name(poses)

@@ -29,7 +29,7 @@ _COMMANDS = {
     ),
     "demo": Command(
         "trackslip_sim.demo.command",
-        "Simulate a drive, replay it, and open the report: the shortest way to see what comes out (no ROS).",
+        "Simulate a drive, replay it, and open the report: the shortest way to see results (no ROS).",
     ),
     "import": Command(
         "trackslip_tools.cli.import_command",
@@ -65,7 +65,7 @@ _COMMANDS = {
     ),
     "study": Command(
         "trackslip_sim.study.cli",
-        "Estimate many simulated drives, and hold the errors against the least possible, or against the "
+        "Estimate many simulated drives, and compare the errors with the least possible, or with the "
         "errors that the estimator expects (config/study.yaml).",
     ),
     "tune": Command(
@@ -74,12 +74,12 @@ _COMMANDS = {
     ),
     "vehicle": Command(
         "trackslip_tools.cli.vehicle_command",
-        "Write the file of a new machine from what is known of it; list those that are there.",
+        "Write the file of a new machine from what is known of it; list the existing ones.",
     ),
 }
 
 
 def installed_commands() -> dict[str, Command]:
     """Name → command; those of the simulator only if it is installed."""
-    there = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
-    return {name: c for name, c in _COMMANDS.items() if c.module.partition(".")[0] in there}
+    present = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
+    return {name: c for name, c in _COMMANDS.items() if c.module.partition(".")[0] in present}

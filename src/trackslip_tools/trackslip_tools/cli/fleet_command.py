@@ -43,8 +43,8 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entr
 def process_bags(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> list[Entry]:
     """Results of the bags that ``args`` name, in order; prints their table."""
     bags = find_bags(args.bags)
-    with worker_options.requested_workers(args, shared=args, most=len(bags)) as mapped:
-        entries = list(iterate_with_bar(mapped(one, bags), f"{len(bags)} bags", total=len(bags)))
+    with worker_options.requested_workers(args, shared=args, most=len(bags)) as map_items:
+        entries = list(iterate_with_bar(map_items(one, bags), f"{len(bags)} bags", total=len(bags)))
     for note in notes(entries):
         show(note, file=sys.stderr)
     show(text(entries))

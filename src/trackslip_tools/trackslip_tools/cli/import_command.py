@@ -72,31 +72,31 @@ def run(args: argparse.Namespace) -> int:
 
 def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | None) -> int:
     """Write a draft mapping into the working directory, named after the log."""
-    lost = next((log for log in logs if not log.exists()), None)
-    if lost is not None:
+    missing = next((log for log in logs if not log.exists()), None)
+    if missing is not None:
         raise InputError(
-            f"log '{lost}' not found; accepted: logs or their directory, or a bag; --output is the new one"
+            f"log '{missing}' not found; accepted: logs or their directory, or a bag; --output is the new one"
         )
     if len(logs) > 1 or not logs[0].is_file():
         raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
     (log,) = logs
     path = Path(f"{log.stem}_mapping.yaml")
     bag = str(output or f"{log.stem}_bag")
-    again = shlex.join(["trackslip", "import", str(log), "--mapping", str(path), "--output", bag])
+    import_command = shlex.join(["trackslip", "import", str(log), "--mapping", str(path), "--output", bag])
     if path.exists():
-        raise InputError(f"'{path}' exists; accepted: {again}")
-    first = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
-    write_atomically(path, first.text)
-    for field, column in first.columns.items():
+        raise InputError(f"'{path}' exists; accepted: {import_command}")
+    draft = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
+    write_atomically(path, draft.text)
+    for field, column in draft.columns.items():
         show(f"found: {field}: {column}")
-    for line in first.guessed:
+    for line in draft.guessed:
         show(f"guessed: {line}")
-    for name in first.unused:
+    for name in draft.unused:
         show(f"not used: {name}")
     if vehicle is None:
         show(f"guessed: vehicle: {_VEHICLE}; trackslip vehicle new writes a file of yours, for --vehicle")
     show(f"mapping: {path}; correct it where it is wrong")
-    show(f"next: {again}")
+    show(f"next: {import_command}")
     return ExitCode.DONE
 
 

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--origin",
         metavar="HOST[:PORT]",
         action="append",
-        help="what browsers may ask for, beside the address itself",
+        help="host that browsers may request, besides the address itself",
     )
     shared_options.add_namespace(parser)
     of_bag = parser.add_argument_group("over a bag")
@@ -46,20 +46,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C; for the running graph this starts the node ``live``."""
-    given = {"host": args.host, "port": args.port, "origins": args.origin and tuple(args.origin)}
-    given = {name: value for name, value in given.items() if value is not None}
+    options = {"host": args.host, "port": args.port, "origins": args.origin and tuple(args.origin)}
+    options = {name: value for name, value in options.items() if value is not None}
     if args.bag is not None:
-        p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
+        p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **options)
         p.allowed_hosts(p.port)  # reports errors before the replay
         with open_bag(args.bag, args.namespace) as bag:
             setup = replay_options.check_setup(bag, args.vehicle) or Result()
             with bag_with_estimates(bag, args.vehicle) as whole:
                 return _serve(whole, p, args, setup)
-    if any(given is not None for given in (args.rate, args.start, args.vehicle)):
+    if any(option is not None for option in (args.rate, args.start, args.vehicle)):
         raise InputError("--rate, --start, --vehicle: accepted only together with a BAG")
-    options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
-    options += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
-    code: int = load_node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *options])
+    words = [word for name, value in options.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
+    words += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
+    code: int = load_node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *words])
     return code
 
 
@@ -106,13 +106,13 @@ def bag_with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
     p = replay_options.parameters_of(bag, [], [], vehicle)
-    of_soil = replay_options.soil_parameters_of(bag, p, [], [])
+    soil_p = replay_options.soil_parameters_of(bag, p, [], [])
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
         with EstimateWriter(path, p) as writer, progress_bar(bag.duration_s, "replaying") as advance:
             watch = combine_watches(replay_progress(bag, advance), writer.add)
-            result = replay(bag, p, InputFilters(), None, of_soil, watch)
+            result = replay(bag, p, InputFilters(), None, soil_p, watch)
             if result.soil is not None:
                 writer.add_soil(result.soil)
-        with open_bag(path) as made:
-            yield Bag(bag.path, [*bag.sources, *made.sources], bag.damage)
+        with open_bag(path) as estimates:
+            yield Bag(bag.path, [*bag.sources, *estimates.sources], bag.damage)

@@ -81,11 +81,11 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
     Raises:
         InputError: the command or an argument is unknown.
     """
-    known = installed_commands()
-    asked = next((word for word in argv if not word.startswith("-")), None)
-    if asked is not None and asked not in known:
+    commands = installed_commands()
+    requested = next((word for word in argv if not word.startswith("-")), None)
+    if requested is not None and requested not in commands:
         raise InputError(
-            f"trackslip: no command '{asked}'{did_you_mean(asked, known)} (see trackslip --help)"
+            f"trackslip: no command '{requested}'{did_you_mean(requested, commands)} (see trackslip --help)"
         )
     parser = _Parser(
         prog="trackslip",
@@ -94,27 +94,27 @@ def parse_arguments(argv: Sequence[str]) -> argparse.Namespace:
         "--tread 2.4; 'trackslip COMMAND --help' has an example of each",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and exit")
-    added = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, command in known.items():
-        _add_command(added, name, command, whole=name == asked)
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name, command in commands.items():
+        _add_command(subparsers, name, command, whole=name == requested)
     args, unknown = parser.parse_known_args(argv)
-    if unknown and asked is not None:
-        _refuse_arguments(unknown, added.choices[asked])
+    if unknown and requested is not None:
+        _refuse_arguments(unknown, subparsers.choices[requested])
     return args
 
 
 def _refuse_arguments(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
     """Raise InputError for a mistyped option or an extra word."""
     options = [option for action in parser._actions for option in action.option_strings]
-    like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
+    hint = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
     words = " ".join(unknown)
-    raise InputError(f"{parser.prog}: unrecognized arguments: {words}{like} (see {parser.prog} --help)")
+    raise InputError(f"{parser.prog}: unrecognized arguments: {words}{hint} (see {parser.prog} --help)")
 
 
-def _add_command(added: Any, name: str, command: Command, *, whole: bool) -> None:
+def _add_command(subparsers: Any, name: str, command: Command, *, whole: bool) -> None:
     """Add a command; ``whole``: with its arguments, which requires its module."""
     text = command.description.replace("%", "%%")  # argparse formats this text
-    parser = added.add_parser(name, help=text, description=command.description)
+    parser = subparsers.add_parser(name, help=text, description=command.description)
     if whole:
         module = importlib.import_module(command.module)
         parser.epilog = f"example: {module.EXAMPLE}"

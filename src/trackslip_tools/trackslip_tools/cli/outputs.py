@@ -41,7 +41,7 @@ def require_writable(**files: Path | None) -> None:
         raise InputError(f"--{option}: '{path}' cannot be written ({why})")
 
 
-def refuse_foreign_file(option: str, path: Path, *beginnings: str | bytes) -> None:
+def refuse_foreign_file(option: str, path: Path, *prefixes: str | bytes) -> None:
     """Check that an existing file begins as the outputs of this option do.
 
     A bag or a text that was named by mistake is therefore not replaced.
@@ -51,13 +51,13 @@ def refuse_foreign_file(option: str, path: Path, *beginnings: str | bytes) -> No
     """
     if not path.is_file():
         return
-    known = tuple(begin.encode() if isinstance(begin, str) else begin for begin in beginnings)
+    accepted_prefixes = tuple(prefix.encode() if isinstance(prefix, str) else prefix for prefix in prefixes)
     try:
         with path.open("rb") as file:
-            head = file.read(max(map(len, known)))
+            head = file.read(max(map(len, accepted_prefixes)))
     except OSError as error:
         raise InputError(f"--{option}: '{path}' cannot be written ({error.strerror})") from error
-    if head and not head.startswith(known):
+    if head and not head.startswith(accepted_prefixes):
         accepted = "a new file, or one that this command wrote"
         raise InputError(
             f"--{option}: '{path}' holds something else, and is not replaced; accepted: {accepted}"

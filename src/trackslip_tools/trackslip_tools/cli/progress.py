@@ -20,8 +20,8 @@ _label_setters: list[Callable[[str], None]] = []  # label setters of the open ba
 
 def iterate_with_bar(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
     """Yield the items and show a bar on stderr; ``total`` for items without a length."""
-    whole = len(items) if total is None and isinstance(items, Sized) else total
-    with progress_bar(whole, label) as advance:
+    count = len(items) if total is None and isinstance(items, Sized) else total
+    with progress_bar(count, label) as advance:
         for item in items:
             yield item
             advance(1)

@@ -74,8 +74,8 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
         show(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
     for edit in filters.withhold:
         if f"/{edit.topic}" not in topics:
-            like = suggestion(f"/{edit.topic}", sorted(topics))
-            raise InputError(f"--withhold {edit.topic}: there is no such topic{like}")
+            hint = suggestion(f"/{edit.topic}", sorted(topics))
+            raise InputError(f"--withhold {edit.topic}: there is no such topic{hint}")
     playback = Playback(
         partial(played_messages, bag, filters, topics), args.rate or 1.0, args.paused, args.loop
     )
@@ -100,9 +100,9 @@ def parse_rate(text: str) -> float:
 
 
 def _refuse_options(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
-    given = [f"--{name}" for name in names if getattr(args, name)]
-    if given:
-        raise InputError(f"{', '.join(given)}: accepted {why}")
+    refused = [f"--{name}" for name in names if getattr(args, name)]
+    if refused:
+        raise InputError(f"{', '.join(refused)}: accepted {why}")
 
 
 @contextmanager
@@ -114,16 +114,16 @@ def _playback_bar(bag: Bag) -> Iterator[Callable[[Playback], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    reached = TextColumn("{task.completed:.1f} s of the bag")
-    columns = (TextColumn("{task.description}"), BarColumn(), reached, TimeRemainingColumn())
+    position = TextColumn("{task.completed:.1f} s of the bag")
+    columns = (TextColumn("{task.description}"), BarColumn(), position, TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("playing", total=bag.duration_s)
 
-        def show(playback: Playback) -> None:
+        def update(playback: Playback) -> None:
             reached = (playback.bag_ns - bag.start_ns) * 1e-9
             bar.update(task, completed=reached, description="paused " if playback.paused else "playing")
 
-        yield show
+        yield update
 
 
 class Keyboard:

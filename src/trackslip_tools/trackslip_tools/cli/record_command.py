@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the node until it ends; returns its exit code."""
     names = ("output", "more_topics", "split_size", "split_duration", "max_disk")
-    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
+    options = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    words = [word for name, value in options.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
     shorten_logs()
-    code: int = load_node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *options])
+    code: int = load_node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *words])
     return code

@@ -48,7 +48,7 @@ def _loss_lines(recovery: Recovery) -> list[str]:
         lines.append(f"lost: {recovery.stated - recovery.messages} of {recovery.stated} messages")
     elif recovery.truncated_files:
         span = CHUNK_SPAN_NS * 1e-9
-        lines.append(f"lost: what a recorder that was killed had in hand, at most {span:g} s if it was ours")
+        lines.append(f"lost: what a killed recorder had not written yet, at most {span:g} s if it was ours")
     if not recovery.messages:
         lines.append("saved: nothing")
     return lines or ["nothing was lost"]

@@ -85,15 +85,15 @@ def _next_command(args: argparse.Namespace, *, has_failed: bool) -> str:
 def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
     """Replay with the options, and write ``--output`` if given."""
     replay_options.note_damage(bag)
-    given = args.params, args.set
+    settings = args.params, args.set
     p, filters, reference = replay_options.read_settings(
-        bag, replay_options.options_of(args), *given, args.vehicle
+        bag, replay_options.options_of(args), *settings, args.vehicle
     )
-    of_soil = replay_options.soil_parameters_of(bag, p, *given)
+    soil_p = replay_options.soil_parameters_of(bag, p, *settings)
     learned, _ = learned_before_bag(bag, p)
     with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
         watch = combine_watches(*watches, *([writer.add] if writer else []))
-        result = replay(bag, p, filters, reference, of_soil, watch)
+        result = replay(bag, p, filters, reference, soil_p, watch)
         if writer and result.soil is not None:
             writer.add_soil(result.soil)
     return result
@@ -102,8 +102,8 @@ def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) ->
 def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
     """Result of one bag of many; runs in a worker."""
 
-    def replayed(watch: Watch) -> tuple[Replay, str]:
+    def replay_watched(watch: Watch) -> tuple[Replay, str]:
         with open_bag(path, args.namespace) as bag:
             return _replay_bag(bag, args, [watch]), ""
 
-    return entry_of(path, replayed, force=args.force)
+    return entry_of(path, replay_watched, force=args.force)

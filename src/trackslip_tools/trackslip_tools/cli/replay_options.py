@@ -130,10 +130,10 @@ def parameters_of(
         InputError: a file, a name or a value is rejected.
     """
     of_bag = bag_vehicle(bag)
-    carried, *given = _parameter_layers(bag, files, settings, NODE)
-    named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle, **_antenna_of(vehicle, carried)}
-    p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, carried, named, *given)
-    if any(map(has_vehicle_name, (named, *given))):
+    bag_layer, *layers = _parameter_layers(bag, files, settings, NODE)
+    named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle, **_antenna_of(vehicle, bag_layer)}
+    p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, bag_layer, named, *layers)
+    if any(map(has_vehicle_name, (named, *layers))):
         show(f"vehicle: {p.vehicle.name}")
     elif of_bag is not None:
         show(f"vehicle: {p.vehicle.name}, the bag's")
@@ -146,17 +146,17 @@ def parameters_of(
     return p
 
 
-def _antenna_of(vehicle: str, carried: Mapping[str, Any]) -> dict[str, Any]:
+def _antenna_of(vehicle: str, bag_layer: Mapping[str, Any]) -> dict[str, Any]:
     """The antenna's lever arm of the named vehicle, if the bag has one; prints both if they differ."""
     sensors = load_vehicle(vehicle).sensors
     names = {f"sources.{GNSS_POSE}.lever_arm_{axis}": axis for axis in "xyz"}
-    if sensors is None or sensors.antenna is None or not carried.keys() >= names.keys():
+    if sensors is None or sensors.antenna is None or not bag_layer.keys() >= names.keys():
         return {}
-    found = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
-    if any(carried[name] != value for name, value in found.items()):
-        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (carried, found))
+    antenna = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
+    if any(bag_layer[name] != value for name, value in antenna.items()):
+        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (bag_layer, antenna))
         show(f"antenna: {now} m, as --vehicle has it; the bag was recorded with {before} m")
-    return found
+    return antenna
 
 
 def soil_parameters_of(
@@ -174,43 +174,45 @@ def soil_parameters_of(
     if p.vehicle.missing_groups_message:
         show(f"soil: {p.vehicle.missing_groups_message}: no forces and no soil are estimated")
         return None
-    carried, *given = _parameter_layers(bag, files, settings, SOIL_NODE)
-    return load_soil_parameters(carried, *given, vehicle_layer(p.vehicle))
+    bag_layer, *layers = _parameter_layers(bag, files, settings, SOIL_NODE)
+    return load_soil_parameters(bag_layer, *layers, vehicle_layer(p.vehicle))
 
 
 def _parameter_layers(
     bag: Bag, files: Iterable[str], settings: Iterable[str], node: str
 ) -> list[Mapping[str, Any]]:
     """Parameters of a node from the bag, from each file, and from ``--set``, in this order."""
-    carried = _bag_parameters(bag, node)
-    given = [_file_parameters(name, node, carried) for name in files]
-    return [carried, *given, _current_parameters(parse_settings(settings, node), carried, "--set")]
+    bag_layer = _bag_parameters(bag, node)
+    file_layers = [_file_parameters(name, node, bag_layer) for name in files]
+    return [bag_layer, *file_layers, _current_parameters(parse_settings(settings, node), bag_layer, "--set")]
 
 
-def _current_parameters(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _current_parameters(
+    parameters: Mapping[str, Any], bag_layer: Mapping[str, Any], where: str
+) -> dict[str, Any]:
     """Parameters under their current names; lists of sources in older formats refer to the bag's sources."""
-    sources = {kind: carried[kind] for kind in SOURCE_LISTS if kind in carried}
-    renamed = current_names({**sources, **given})
-    values = {name: value for name, value in renamed.items() if name in given or name not in sources}
-    if values.keys() != given.keys():
-        show(f"note: {where}: names of an earlier version are read by those of today", file=sys.stderr)
+    sources = {kind: bag_layer[kind] for kind in SOURCE_LISTS if kind in bag_layer}
+    renamed = current_names({**sources, **parameters})
+    values = {name: value for name, value in renamed.items() if name in parameters or name not in sources}
+    if values.keys() != parameters.keys():
+        show(f"note: {where}: names of an earlier version are read as the current ones", file=sys.stderr)
     return values
 
 
 def _bag_parameters(bag: Bag, node: str) -> Mapping[str, Any]:
     """The bag's parameters that this version has, under their current names."""
-    stated, where = stated_parameters(bag, node), f"bag '{bag.path}'"
-    carried = current_names(stated)
-    known = _known_parameters(node, carried, where)
-    notes = [f"'{name}' is not one of this version" for name in sorted(carried.keys() - known)]
-    if node == NODE and carried.keys() != stated.keys():
-        notes.append("those of an earlier version are read by the names of today")
+    recorded, where = stated_parameters(bag, node), f"bag '{bag.path}'"
+    current = current_names(recorded)
+    known = _known_parameters(node, current, where)
+    notes = [f"'{name}' is not one of this version" for name in sorted(current.keys() - known)]
+    if node == NODE and current.keys() != recorded.keys():
+        notes.append("names of an earlier version are read as the current ones")
     for note in notes:
         show(f"note: parameters of {where}: {note}", file=sys.stderr)
-    return {name: value for name, value in carried.items() if name in known}
+    return {name: value for name, value in current.items() if name in known}
 
 
-def _file_parameters(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any]:
+def _file_parameters(name: str, node: str, bag_layer: Mapping[str, Any]) -> Mapping[str, Any]:
     """The parameters of a node in a file, without those for other nodes in its shared sections."""
     path = config_file(name)
     tree = read_yaml(path)
@@ -218,13 +220,13 @@ def _file_parameters(name: str, node: str, carried: Mapping[str, Any]) -> Mappin
     if not any(by_node.values()):
         accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
         raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
-    given = _current_parameters(by_node[node], carried, str(path))
-    known = _known_parameters(node, {**carried, **given}, str(path))
+    values = _current_parameters(by_node[node], bag_layer, str(path))
+    known = _known_parameters(node, {**bag_layer, **values}, str(path))
     others = current_names(node_parameters(tree, "", str(path))).keys() - known
     for other in sorted(others) if node == NODE else ():
         if other not in {n for n, _, _ in flat_fields(_PARAMETER_CLASSES[SOIL_NODE])}:
             show(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
-    return {n: v for n, v in given.items() if n not in others}
+    return {n: v for n, v in values.items() if n not in others}
 
 
 def _known_parameters(node: str, values: Mapping[str, Any], where: str) -> set[str]:
@@ -295,8 +297,8 @@ def require_named_topics(
     for option, named in (("--withhold", filters.withhold), ("--thin", filters.thin)):
         for edit in named:
             if edit.topic not in known:
-                like = suggestion(edit.topic, sorted(known))
-                raise InputError(f"{option} {edit.topic}: there is no such topic{like}")
+                hint = suggestion(edit.topic, sorted(known))
+                raise InputError(f"{option} {edit.topic}: there is no such topic{hint}")
 
 
 def parse_settings(texts: Iterable[str], node: str) -> dict[str, Any]:

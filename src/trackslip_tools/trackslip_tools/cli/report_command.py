@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         action="append",
         help="ROS parameter file over the bag's own; several are compared, "
-        f"'{_OWN_PARAMETERS}' is none of them",
+        f"'{_OWN_PARAMETERS}' stands for no file",
     )
     replay_options.add_options(parser)
     replay_options.add_force(parser)
@@ -106,12 +106,12 @@ def _replay_run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
     """Run over a bag with a parameter file; ``recording``: contents of the bag, if already read."""
-    options, given = replay_options.options_of(args), ([] if name == _OWN_PARAMETERS else [name], args.set)
-    p, filters, reference = replay_options.read_settings(bag, options, *given, args.vehicle)
-    of_soil = replay_options.soil_parameters_of(bag, p, *given)
+    options, settings = replay_options.options_of(args), ([] if name == _OWN_PARAMETERS else [name], args.set)
+    p, filters, reference = replay_options.read_settings(bag, options, *settings, args.vehicle)
+    soil_p = replay_options.soil_parameters_of(bag, p, *settings)
     recording = recording or read_recording(bag, filters, args.namespace)
     details = Details()
-    result = replay(bag, p, filters, reference, of_soil, combine_watches(details.add, further))
+    result = replay(bag, p, filters, reference, soil_p, combine_watches(details.add, further))
     smoothed = _smoothed_estimates(bag, p, filters) if args.smooth else None
     return Run(label, recording, p, filters, result, details, smoothed)
 
@@ -133,30 +133,30 @@ def _write_folder(args: argparse.Namespace, files: Sequence[str]) -> int:
 def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
     """Result of one bag of many; runs in a worker."""
 
-    def replayed(watch: Watch) -> tuple[Replay, str]:
+    def replay_watched(watch: Watch) -> tuple[Replay, str]:
         (name,) = args.params or [_OWN_PARAMETERS]
         with open_bag(path, args.namespace) as bag:
             one = _replay_run(args, bag, name, None, path.name, watch)
         return one.replay, _render_page([one], load_limits(args.limits or ()))
 
-    return entry_of(path, replayed, force=args.force)
+    return entry_of(path, replay_watched, force=args.force)
 
 
 def _smoothed_estimates(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
     """(n,) ESTIMATE of the smoother."""
-    found = GrowingRows(ESTIMATE, MOST_DRAWN)
-    smooth_bag(bag, p, filters, None, lambda block: found.add(block.smoothed))
-    return found.rows()
+    smoothed = GrowingRows(ESTIMATE, MOST_DRAWN)
+    smooth_bag(bag, p, filters, None, lambda block: smoothed.add(block.smoothed))
+    return smoothed.rows()
 
 
 def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
     """The shortest ends of the paths that distinguish them; a single path is returned whole."""
-    known = list(dict.fromkeys(paths))
-    for count in range(1, max(len(path.parts) for path in known)) if len(known) > 1 else ():
-        ends = {path: str(Path(*path.parts[-count:])) for path in known}
-        if len(set(ends.values())) == len(known):
+    unique = list(dict.fromkeys(paths))
+    for count in range(1, max(len(path.parts) for path in unique)) if len(unique) > 1 else ():
+        ends = {path: str(Path(*path.parts[-count:])) for path in unique}
+        if len(set(ends.values())) == len(unique):
             return ends
-    return {path: str(path) for path in known}
+    return {path: str(path) for path in unique}
 
 
 def _run_label(bag: str, name: str, bags: bool, files: bool) -> str:

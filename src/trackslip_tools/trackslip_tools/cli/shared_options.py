@@ -44,7 +44,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
 
 def next_command_options(args: argparse.Namespace) -> list[str]:
     """Command-line words of the options that the next command needs too: machine, parameters."""
-    named = {"--vehicle": args.vehicle, "--namespace": args.namespace}
-    found = [word for option, value in named.items() if value for word in (option, value)]
-    found += [word for setting in args.set for word in ("--set", setting)]
-    return [*found, "--params", *args.params] if args.params else found
+    options = {"--vehicle": args.vehicle, "--namespace": args.namespace}
+    words = [word for name, value in options.items() if value for word in (name, value)]
+    words += [word for setting in args.set for word in ("--set", setting)]
+    return [*words, "--params", *args.params] if args.params else words

@@ -72,12 +72,12 @@ def run(args: argparse.Namespace) -> int:
     cross_validate = not args.no_cross_validation and len(tasks) > 1
     sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
-        mapped = stack.enter_context(worker_options.requested_workers(args, shared=tasks))
+        map_items = stack.enter_context(worker_options.requested_workers(args, shared=tasks))
         journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
         if len(journal):
             show(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
         advance = stack.enter_context(progress_bar(sets, "tuning"))
-        tuner = Tuner(plan, tasks, partial(mapped, score_of), journal, advance)
+        tuner = Tuner(plan, tasks, partial(map_items, score_of), journal, advance)
         tuning = tuner.run(cross_validate)
     write_evidence(args.output, tuning, tasks[0].p)
     write_json(args.output / NUMBERS, numbers(tuning))
@@ -90,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
 def _load_task(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
     with open_bag(path, args.namespace) as bag:
         replay_options.note_damage(bag)
-        given = args.params, args.set, args.vehicle
-        p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args), *given)
+        settings = args.params, args.set, args.vehicle
+        p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args), *settings)
         setup = check_bag(bag, p, filters)
         show(
             setup_summary(setup) if setup.is_plausible else f"{path}: {setup_summary(setup)}", file=sys.stderr

@@ -60,16 +60,16 @@ def run(arguments: argparse.Namespace) -> int:
         known |= {f"{ANTENNA}.{axis}": value for axis, value in zip("xyz", arguments.antenna, strict=True)}
     if arguments.asks and sys.stdin.isatty():
         known |= _ask_numbers(known)
-    made = draft_vehicle(arguments.name, known)
-    paths = [arguments.output / name for name in made.files]
+    draft = draft_vehicle(arguments.name, known)
+    paths = [arguments.output / name for name in draft.files]
     for path in paths:
         if path.exists():
             raise InputError(f"'{path}' exists; accepted: another --name or --output")
-    for path, text in zip(paths, made.files.values(), strict=True):
+    for path, text in zip(paths, draft.files.values(), strict=True):
         write_file("output", path, text)
-    for name in made.guessed:
-        show(f"guessed: {name} {made.values[name]:g}: {MEASURING_METHODS[name]}")
-    for line in made.missing:
+    for name in draft.guessed:
+        show(f"guessed: {name} {draft.values[name]:g}: {MEASURING_METHODS[name]}")
+    for line in draft.missing:
         show(f"left out: {line}")
     show(f"vehicle: {paths[0]}")
     priors = "".join(f" --params {path}" for path in paths[1:])
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _ask_numbers(known: dict[str, float]) -> dict[str, float]:
     """The user's answers for important numbers that are not known; an empty answer omits a number."""
-    found: dict[str, float] = {}
+    answers: dict[str, float] = {}
     specs = {name: spec for _, name, spec in number_options()}
     for name in (MASS, *REQUIRED_NUMBERS[1:]):
         if name in known:
@@ -90,8 +90,8 @@ def _ask_numbers(known: dict[str, float]) -> dict[str, float]:
                 f"{specs[name].description}, {specs[name].unit} ({MEASURING_METHODS[name]}; Enter: unknown): "
             )
             try:
-                found |= {name: float(answer)} if answer.strip() else {}
+                answers |= {name: float(answer)} if answer.strip() else {}
                 break
             except ValueError:
                 show(f"{printable(answer)!r} is no number")
-    return found
+    return answers

@@ -63,23 +63,25 @@ class Distance:
         self._stamp_ns = int(estimates["stamp_ns"][-1])
 
 
-def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, force: bool = False) -> Entry:
-    """Result of a bag, with any error in it; ``replayed`` returns the replay and the page.
+def entry_of(path: Path, replay_watched: Callable[[Watch], tuple[Replay, str]], *, force: bool) -> Entry:
+    """Result of a bag, with any error in it; ``replay_watched`` returns the replay and the page.
 
     ``force``: accept a wrong setup.
     """
     distance = Distance()
     with collect_output() as lines:
         try:
-            result, page = replayed(distance.add)
+            result, page = replay_watched(distance.add)
         except (InputError, OSError) as error:
             text = str(error) if isinstance(error, InputError) else f"bag '{path}': {error.strerror}"
             return Entry(str(path), ExitCode.BAD_INPUT, text, tuple(lines))
-    found = summary(result, result.elapsed_s or 1.0)
-    del found[_TIMING]
+    content = summary(result, result.elapsed_s or 1.0)
+    del content[_TIMING]
     code = ExitCode.FAILED if result.has_failed(force=force) else ExitCode.DONE
-    wrong = "" if result.setup.is_plausible else f"setup: {result.setup.headline}"
-    return Entry(str(path), code, result.no_estimate or wrong, tuple(lines), distance.metres, found, page)
+    setup_error = "" if result.setup.is_plausible else f"setup: {result.setup.headline}"
+    return Entry(
+        str(path), code, result.no_estimate or setup_error, tuple(lines), distance.metres, content, page
+    )
 
 
 def exit_code(entries: Iterable[Entry]) -> int:

@@ -37,8 +37,8 @@ def _rejected_count(summary: Mapping[str, Any]) -> str:
     """Number of measurements rejected since the start."""
     if not summary:
         return NO_VALUE
-    reasons = (found for of_source in summary["rejected"].values() for found in of_source.items())
-    return str(sum(count for reason, count in reasons if reason != _WAITING))
+    counts = (item for of_source in summary["rejected"].values() for item in of_source.items())
+    return str(sum(count for reason, count in counts if reason != _WAITING))
 
 
 def _soil(summary: Mapping[str, Any]) -> str:
@@ -73,8 +73,8 @@ def text(entries: Sequence[Entry]) -> str:
     lines = [table(heading, rows, right)]
     lines += [wrap_line(f"{name}: {entry.error}") for name, entry in named_entries(entries) if entry.error]
     vehicles = Counter(entry.vehicle for entry in entries if entry.vehicle)
-    of_each = ", ".join(f"{name} ({count})" for name, count in sorted(vehicles.items()))
-    return "\n".join([*lines, *([wrap_line(f"vehicles: {of_each}")] if vehicles else [])])
+    counts = ", ".join(f"{name} ({count})" for name, count in sorted(vehicles.items()))
+    return "\n".join([*lines, *([wrap_line(f"vehicles: {counts}")] if vehicles else [])])
 
 
 def notes(entries: Sequence[Entry]) -> Iterator[str]:

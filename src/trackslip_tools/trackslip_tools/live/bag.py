@@ -70,7 +70,7 @@ class BagFeed:
         return (self._playback.bag_ns - self._bag.start_ns) * 1e-9
 
     def _process(self, message: PlayedMessage) -> None:
-        found = self._bag.deserialize(message.raw, self._topics[message.topic])
+        content = self._bag.deserialize(message.raw, self._topics[message.topic])
         self._state.process(
-            relative_name(message.topic), found, (message.log_time_ns - self._bag.start_ns) * 1e-9
+            relative_name(message.topic), content, (message.log_time_ns - self._bag.start_ns) * 1e-9
         )

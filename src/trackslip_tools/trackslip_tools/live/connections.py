@@ -111,6 +111,6 @@ class BoundedServer(HTTPServer):
             self.displaced += 1
 
     def _forget_stream(self, stream: IOStream) -> None:
-        for kept in (self._waiting, self._requested):
-            if stream in kept:
-                kept.pop(stream).cancel()
+        for group in (self._waiting, self._requested):
+            if stream in group:
+                group.pop(stream).cancel()

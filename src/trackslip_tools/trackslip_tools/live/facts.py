@@ -37,18 +37,14 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
     if attitude is not None and attitude.covariance[0] >= 0.0:
         sigmas = SIGMAS * np.sqrt(attitude.covariance)
         for name, angle, sigma in zip(("roll", "pitch"), tilt_of(attitude), sigmas, strict=True):
-            facts[name] = _angle_text(angle, float(sigma))
+            facts[name] = f"{math.degrees(angle):.1f}° ± {math.degrees(float(sigma)):.1f}"
     swing = now.get(inputs.SWING, now_s)
     if swing is not None and math.isfinite(swing.angle):
         facts["swing"] = f"{math.degrees(math.remainder(swing.angle, 2.0 * math.pi)):.1f}°"
     return facts
 
 
-def _angle_text(angle: float, interval: float) -> str:
-    return f"{math.degrees(angle):.1f}° ± {math.degrees(interval):.1f}"
-
-
 def _eigenvalues(covariance: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
-        found = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
-    return np.asarray(found)
+        eigenvalues = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
+    return np.asarray(eigenvalues)

@@ -27,7 +27,7 @@ class Fixes:
     """Recent fixes and lost sources; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self.kept: deque[Position] = deque(maxlen=MAX_FIXES)
+        self.shown: deque[Position] = deque(maxlen=MAX_FIXES)
         self.timeouts: dict[str, float] = {}  # source of the slip estimator → timeout, s
         self._new_fixes: deque[Position] = deque(maxlen=MAX_FIXES)
         self._last_fix_s: dict[str, float] = {}
@@ -53,9 +53,9 @@ class Fixes:
 
     def pop_new_fixes(self) -> list[Position]:
         """Return the fixes since the last call, and keep them as shown."""
-        news, self._new_fixes = list(self._new_fixes), deque(maxlen=MAX_FIXES)
-        self.kept += news
-        return news
+        new_fixes, self._new_fixes = list(self._new_fixes), deque(maxlen=MAX_FIXES)
+        self.shown += new_fixes
+        return new_fixes
 
     def add_silence_events(self, events: Events, now_s: float, time_ms: float) -> None:
         """Add an event for each source that is newly lost, or back."""
@@ -71,12 +71,12 @@ class Fixes:
 
 def timeouts_of(values: Mapping[str, Any]) -> dict[str, float]:
     """Pose source → timeout, s, from the slip estimator's parameters by dotted name."""
-    named = values.get("pose_sources")
-    found = {}
-    for source in named if isinstance(named, list) else ():
+    sources = values.get("pose_sources")
+    timeouts = {}
+    for source in sources if isinstance(sources, list) else ():
         with suppress(TypeError, ValueError):
-            found[str(source)] = float(values.get(f"sources.{group_name(str(source))}.timeout", math.inf))
-    return {source: timeout for source, timeout in found.items() if source and not math.isnan(timeout)}
+            timeouts[str(source)] = float(values.get(f"sources.{group_name(str(source))}.timeout", math.inf))
+    return {source: timeout for source, timeout in timeouts.items() if source and not math.isnan(timeout)}
 
 
 def timeouts_of_text(text: str, where: str) -> dict[str, float]:

@@ -53,7 +53,7 @@ TYPES = {
     topic: TOPICS[topic].type_name if topic in TOPICS else _IMU
     for topic in (*RECORDS, VEHICLE, PARAMETERS, DIAGNOSTICS)
 } | dict.fromkeys(POSES, POSE_TYPE)
-"""Message type of each topic that is always looked at."""
+"""Message type of each topic that the page always reads."""
 
 LATCHED_TOPICS = (VEHICLE, PARAMETERS)
 EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED_TOPICS)  # of other topics only the newest message is needed

@@ -24,20 +24,20 @@ OUTLINE_NAMES = ("ellipse", "machine", "nose", "upper", "box")
 
 def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict[str, FloatArray]:
     """Name of ``OUTLINE_NAMES`` → (n, 2) outline; no points if unknown."""
-    found = dict.fromkeys(OUTLINE_NAMES, np.empty((0, 2)))
+    outlines = dict.fromkeys(OUTLINE_NAMES, np.empty((0, 2)))
     odometry = now.get(ODOMETRY, now_s)
     if odometry is not None:
         pose = inputs.pose_of(odometry)
-        found |= _machine_outlines(pose, vehicle)
+        outlines |= _machine_outlines(pose, vehicle)
         with suppress(np.linalg.LinAlgError):  # invalid covariance
-            found["ellipse"] = ellipses(pose[np.newaxis, :2], odometry.covariance[np.newaxis, :2, :2])[0]
+            outlines["ellipse"] = ellipses(pose[np.newaxis, :2], odometry.covariance[np.newaxis, :2, :2])[0]
         swing = now.get(inputs.SWING, now_s)
         if swing is not None:
-            found["upper"] = _upper_structure_line(pose, swing.angle, vehicle)
+            outlines["upper"] = _upper_structure_line(pose, swing.angle, vehicle)
     fix, sensors = now.get(inputs.BOX_POSE, now_s), vehicle.sensors
     if fix is not None and sensors is not None and sensors.box is not None:
-        found["box"] = box_outline(sensors.box, inputs.pose_of(fix))
-    return found
+        outlines["box"] = box_outline(sensors.box, inputs.pose_of(fix))
+    return outlines
 
 
 def _machine_outlines(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArray]:

@@ -45,7 +45,7 @@ class Gauge(NamedTuple):
 def page_files(title: str) -> dict[str, ServedFile]:
     """Name → file; the page itself has the name ``''``."""
     document, plots = _make_document()
-    described = {
+    description = {
         "document": document.to_json(deferred=False),
         "plots": plots,
         "lines": [{"panel": line.panel} for line in LINES],
@@ -64,7 +64,7 @@ def page_files(title: str) -> dict[str, ServedFile]:
         "live.css": ServedFile("text/css; charset=utf-8", styles.encode()),
         "live.js": ServedFile("text/javascript; charset=utf-8", _template_text("live", "live.js").encode()),
         "theme.js": ServedFile("text/javascript; charset=utf-8", theme.encode()),
-        "page.json": ServedFile("application/json", json.dumps(described).encode()),
+        "page.json": ServedFile("application/json", json.dumps(description).encode()),
         "bokeh.js": ServedFile("text/javascript; charset=utf-8", _bokeh_script().encode()),
     }
 
@@ -114,28 +114,28 @@ def remove_tools(plot: figure) -> None:
 
 def _make_gauge(number: int, line: Line) -> Gauge | None:
     """Gauge of a curve; None for a curve without one."""
-    of, panel = line.quantity, PANELS[line.panel]
+    quantity, panel = line.quantity, PANELS[line.panel]
     unit = panel.axis.rpartition(", ")[2]
-    if isinstance(of, Quantity):
-        side = of.true_column.partition("_")[0]
-        low, high = (of.scale * end for end in _SLIP_RANGE)
-        is_slip = of.true_column.endswith("_slip")
+    if isinstance(quantity, Quantity):
+        side = quantity.true_column.partition("_")[0]
+        low, high = (quantity.scale * end for end in _SLIP_RANGE)
+        is_slip = quantity.true_column.endswith("_slip")
         return Gauge("Slip", side, number, line.panel, unit, low, high) if is_slip else None
-    return _ground_gauge(of, line, number, unit)
+    return _ground_gauge(quantity, line, number, unit)
 
 
-def _ground_gauge(of: FieldCurve, line: Line, number: int, unit: str) -> Gauge | None:
-    side = of.field.partition("_")[0]
-    if of.field.endswith("_thrust_reserve"):
+def _ground_gauge(curve: FieldCurve, line: Line, number: int, unit: str) -> Gauge | None:
+    side = curve.field.partition("_")[0]
+    if curve.field.endswith("_thrust_reserve"):
         low, high = (line.scale * end for end in _RESERVE_RANGE)
         return Gauge("Reserve", side, number, line.panel, unit, low, high)
-    if of.field.endswith("_thrust"):
+    if curve.field.endswith("_thrust"):
         return Gauge("Thrust", side, number, line.panel, unit, None, None)
-    return Gauge("Soil", of.label, number, line.panel, unit, None, None) if of.interval else None
+    return Gauge("Soil", curve.label, number, line.panel, unit, None, None) if curve.interval else None
 
 
-def _template_text(room: str, name: str) -> str:
-    folder = resources.files(f"trackslip_tools.{room}").joinpath("templates")
+def _template_text(package: str, name: str) -> str:
+    folder = resources.files(f"trackslip_tools.{package}").joinpath("templates")
     return folder.joinpath(name).read_text(encoding="utf-8")
 
 

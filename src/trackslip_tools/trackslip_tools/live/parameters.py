@@ -38,8 +38,8 @@ class LiveParameters(Parameters):
                     f"will ask for as origin; {_ACCEPTED_ORIGINS}"
                 )
             return frozenset(named)
-        own = _LOCAL_HOSTS if self.host in _LOCAL_HOSTS else (_bracket_ipv6(self.host),)
-        return frozenset([*named, *(f"{name}:{port}" for name in own)])
+        hosts = _LOCAL_HOSTS if self.host in _LOCAL_HOSTS else (_bracket_ipv6(self.host),)
+        return frozenset([*named, *(f"{name}:{port}" for name in hosts)])
 
 
 def open_sockets(host: str, port: int) -> list[socket.socket]:

@@ -28,14 +28,14 @@ from trackslip_tools.live.connections import BoundedServer
 from trackslip_tools.live.page import ServedFile
 from trackslip_tools.live.parameters import LiveParameters, open_sockets
 
-_LOGGERS = ("tornado", "asyncio")  # loggers
+_LOGGERS = ("tornado", "asyncio")
 _LOG_PERIOD_S = 1.0
 MOST_PAGES = 24  # served at the same time
 _PING = 10  # s, interval of pings; a page without an answer is disconnected
 _MOST_WAITING = 40  # frames: largest lag of a page, five seconds
 _LARGEST_REQUEST = 4096  # bytes of a header or body
 _CLOSED_BY_RULE = 1008  # close code of websockets: policy violation
-_STOP_TIMEOUT_S = 10.0  # s
+_STOP_TIMEOUT_S = 10.0
 # Content-Security-Policy: no external content, no inline scripts, no forms, no frames around it.
 _CONTENT_POLICY = (
     "default-src 'none'; script-src 'self'; connect-src 'self' ws://{host}; img-src data:; "
@@ -56,12 +56,12 @@ class ServerLog(logging.Handler):
         self._next_s = -float("inf")
 
     def attach(self) -> None:
-        """Start to receive log records."""
+        """Start receiving log records."""
         for name in _LOGGERS:
             logging.getLogger(name).addHandler(self)
 
     def detach(self) -> None:
-        """Stop to receive log records."""
+        """Stop receiving log records."""
         for name in _LOGGERS:
             logging.getLogger(name).removeHandler(self)
 
@@ -78,7 +78,7 @@ class ServerLog(logging.Handler):
 
 
 class PageServer:
-    """Serves from ``start`` to ``stop``; ``whole`` returns the state for a new page, from any thread.
+    """Serves from ``start`` to ``stop``; ``full_state`` returns the state for a new page, from any thread.
 
     ``log`` gets at most one line a second about errors of connections, from any thread.
 
@@ -89,7 +89,7 @@ class PageServer:
     def __init__(
         self,
         files: Mapping[str, ServedFile],
-        whole: Callable[[], dict[str, Any]],
+        full_state: Callable[[], dict[str, Any]],
         parameters: LiveParameters,
         log: Callable[[str], None] = lambda line: show(line, file=sys.stderr),
     ) -> None:
@@ -97,7 +97,7 @@ class PageServer:
         self._sockets = open_sockets(parameters.host, parameters.port)
         self.port = int(self._sockets[0].getsockname()[1])
         self._allowed = parameters.allowed_hosts(self.port)
-        self._full_state, self._files = whole, files
+        self._full_state, self._files = full_state, files
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="page", daemon=True)
         self._pages: set[_StreamHandler] = set()
@@ -267,7 +267,7 @@ class _StreamHandler(_Handler, WebSocketHandler):
     def _next_text(self) -> str:
         """The next text to send; empty if there is none."""
         if self._needs_state:
-            whole = self.server._full_state()
-            self._needs_state = not whole
-            return _encode_frame(whole) if whole else ""
+            state = self.server._full_state()
+            self._needs_state = not state
+            return _encode_frame(state) if state else ""
         return self._waiting.popleft() if self._waiting else ""

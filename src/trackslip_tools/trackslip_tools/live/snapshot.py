@@ -49,13 +49,13 @@ class Snapshot:
 
     def columns(self, now_s: float) -> dict[str, Columns]:
         """Topic (or ``MOTION``) → columns for the panels, of fresh records."""
-        found: dict[str, Columns] = {
+        columns: dict[str, Columns] = {
             topic: record._asdict()
             for topic in (FORCES, SOIL)
             if (record := self.get(topic, now_s)) is not None
         }
         motion = self._motion_columns(now_s)
-        return found | ({MOTION: motion} if motion is not None else {})
+        return columns | ({MOTION: motion} if motion is not None else {})
 
     def _motion_columns(self, now_s: float) -> Columns | None:
         """Columns of twist and slips as in the report; slips are nan at standstill."""

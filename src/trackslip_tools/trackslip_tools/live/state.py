@@ -3,14 +3,13 @@
 """State of the live page, shared by all clients: messages in, frames out.
 
 A frame has the changes since the previous frame, as JSON values. ``full_state`` has all that a new page
-needs.
-Memory is bounded for any input and duration.
+needs. Memory is bounded for any input and duration.
 """
 
 import math
 import threading
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -63,9 +62,6 @@ class Trail:
             self._spacing *= 2.0
             self.thinning_count += 1
         return True
-
-    def __iter__(self) -> Iterator[tuple[float, float]]:
-        return iter(self.points)
 
 
 class LiveState:
@@ -134,7 +130,7 @@ class LiveState:
             frame["row"] = replace_nonfinite(self._strips.add(time_ms, self._now.columns(now_s)))
             frame |= self._new_positions(now_s)
             frame["events"] = [
-                _event_row(event) for event in self._events.kept if event.number > self._reported
+                _event_row(event) for event in self._events.recent if event.number > self._reported
             ]
             self._reported = self._events.count
             if now_s - self._viewed_s >= _VIEW_PERIOD_S:
@@ -161,17 +157,17 @@ class LiveState:
             if not self._frame:
                 return {}
             times, values = self._strips.stored_rows()
-            kept = {
+            history = {
                 "run": self._run,
                 "source": printable(self._source),
                 "times": replace_nonfinite(times),
                 "rows": replace_nonfinite(values),
                 "views": replace_nonfinite(self._views),
                 "trail": list(self._trail.points),
-                "fixes": list(self._fixes.kept),
-                "events": [_event_row(event) for event in self._events.kept],
+                "fixes": list(self._fixes.shown),
+                "events": [_event_row(event) for event in self._events.recent],
             }
-            return self._frame | kept
+            return self._frame | history
 
     def _process_vehicle(self, text: str) -> None:
         if self._keeps_vehicle:
@@ -198,14 +194,14 @@ class LiveState:
 
     def _current_values(self, lights: list[Light], now_s: float, time_ms: float) -> dict[str, Any]:
         """The part of a frame that is sent in full."""
-        drawn = outlines_of(self._now, now_s, self._vehicle)
+        outlines = outlines_of(self._now, now_s, self._vehicle)
         likely = sorted(self._now.classes.items(), key=lambda item: -item[1])[:_MAX_CLASSES]
         has_soil = self._now.get(SOIL, now_s) is not None
         return {
             "number": self._number,
             "time": round(time_ms),
             "facts": {**facts_of(self._now, now_s), "vehicle": printable(self._vehicle.name)},
-            "outlines": {name: outline_coordinates(points) for name, points in drawn.items()},
+            "outlines": {name: outline_coordinates(points) for name, points in outlines.items()},
             "lights": [
                 [one.name, int(one.level), one.message, *replace_nonfinite((one.rate, one.age))]
                 for one in lights
@@ -219,15 +215,15 @@ class LiveState:
 
     def _new_positions(self, now_s: float) -> dict[str, Any]:
         """The new points of the path and the new fixes."""
-        gained: dict[str, Any] = {}
+        new: dict[str, Any] = {}
         odometry, thinned = self._now.get(ODOMETRY, now_s), self._trail.thinning_count
         if odometry is not None and self._trail.add(odometry.x, odometry.y):
-            gained["path"] = self._trail.points[-1]
+            new["path"] = self._trail.points[-1]
             if self._trail.thinning_count != thinned:
-                gained["trail"] = list(self._trail.points)
-        if news := self._fixes.pop_new_fixes():
-            gained["new_fixes"] = news
-        return gained
+                new["trail"] = list(self._trail.points)
+        if new_fixes := self._fixes.pop_new_fixes():
+            new["new_fixes"] = new_fixes
+        return new
 
 
 def _setup_warning(lights: list[Light]) -> str:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_tools.report.panel import BLUE, Curve, Form, Panel
+from trackslip_tools.report.panel import BLUE, Curve, Panel
 from trackslip_tools.report.quantities import (
     FIELD_PANELS,
     QUANTITIES,
@@ -39,9 +39,9 @@ def make_lines() -> list[Line]:
     lines = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)]
     first = len(QUANTITIES)
     return lines + [
-        Line(first + k, shown, shape.scale, shape.topic)
-        for k, shape in enumerate(FIELD_PANELS)
-        for shown in shape.fields
+        Line(first + k, curve, panel.scale, panel.topic)
+        for k, panel in enumerate(FIELD_PANELS)
+        for curve in panel.fields
     ]
 
 
@@ -85,18 +85,16 @@ class Strips:
         times, values = self.stored_rows()
         curves: list[list[Curve]] = [[] for _ in PANELS]
         for k, line in enumerate(LINES):
-            own = values[:, k]
-            label, colour, form = _curve_style(line.quantity)
-            has_band = isinstance(line.quantity, Quantity) or np.isfinite(own[:, 1]).any() or not len(own)
-            band = (own[:, 1], own[:, 2]) if has_band else None
-            curves[line.panel].append(Curve(label, colour, times, own[:, 0], form, band))
+            points = values[:, k]
+            shown = line.quantity
+            label, colour = ("estimate", BLUE) if isinstance(shown, Quantity) else (shown.label, shown.colour)
+            has_band = isinstance(shown, Quantity) or np.isfinite(points[:, 1]).any() or not len(points)
+            band = (points[:, 1], points[:, 2]) if has_band else None
+            curves[line.panel].append(Curve(label, colour, times, points[:, 0], band=band))
         return [
-            Panel(of.title, of.axis, found, limits=(0.0,)) for of, found in zip(PANELS, curves, strict=True)
+            Panel(panel.title, panel.axis, panel_curves, limits=(0.0,))
+            for panel, panel_curves in zip(PANELS, curves, strict=True)
         ]
-
-
-def _curve_style(of: Quantity | FieldCurve) -> tuple[str, str, Form]:
-    return ("estimate", BLUE, Form.LINE) if isinstance(of, Quantity) else (of.label, of.colour, Form.LINE)
 
 
 def _line_point(line: Line, columns: Columns) -> tuple[float, float, float]:

@@ -74,8 +74,8 @@ class Draft:
     def files(self) -> dict[str, str]:
         """File name → text: the vehicle, then estimator parameters that a guessed rolling radius requires."""
         name, share = self.vehicle.name, self.guessed.get(RADIUS)
-        found = {f"{name}.yaml": self._vehicle_text()}
-        return found | ({f"{name}_estimator.yaml": _PRIORS.format(name, share)} if share else {})
+        texts = {f"{name}.yaml": self._vehicle_text()}
+        return texts | ({f"{name}_estimator.yaml": _PRIORS.format(name, share)} if share else {})
 
     def _vehicle_text(self) -> str:
         """The vehicle in the format of ``config/vehicles``."""
@@ -84,16 +84,16 @@ class Draft:
             "# first; config/vehicles/excavator_20t.yaml says how, and which groups may be added.",
             f"name: {self.vehicle.name}",
         ]
-        shown: list[str] = []
+        open_groups: list[str] = []
         for name, spec in _specs():
             if name in self.values:
                 *groups, last = name.split(".")
                 depth = next(
-                    (k for k, (a, b) in enumerate(zip(groups, shown, strict=False)) if a != b),
-                    min(len(groups), len(shown)),
+                    (k for k, (a, b) in enumerate(zip(groups, open_groups, strict=False)) if a != b),
+                    min(len(groups), len(open_groups)),
                 )
                 lines += [f"{'  ' * k}{groups[k]}:" for k in range(depth, len(groups))]
-                shown = groups
+                open_groups = groups
                 value = f"{'  ' * len(groups)}{last}: {self.values[name]:.6g}"
                 lines.append(f"{value:<30} # {self._comment(name, spec)}")
         return "\n".join(lines) + "\n"
@@ -134,9 +134,9 @@ def draft_vehicle(name: str, known: Mapping[str, float]) -> Draft:
         inertia = values[MASS] * sum(side * side for side in sides) / 12.0
         values["mass.yaw_inertia"], guessed["mass.yaw_inertia"] = _round_guess(inertia), 0.3
     missing = tuple(_omitted_parts(values))
-    kept = {one: value for one, value in values.items() if _is_group_complete(one, values)}
-    vehicle = make_vehicle(name, kept, f"vehicle '{name}'")
-    return Draft(vehicle, kept, guessed, missing)
+    complete = {one: value for one, value in values.items() if _is_group_complete(one, values)}
+    vehicle = make_vehicle(name, complete, f"vehicle '{name}'")
+    return Draft(vehicle, complete, guessed, missing)
 
 
 def _omitted_parts(values: Mapping[str, float]) -> Iterator[str]:

@@ -87,13 +87,13 @@ class LiveNode(TrackslipNode[LiveParameters]):
 
     def _update_subscriptions(self) -> None:
         """Subscribe to the present pose sources of the slip estimator, and unsubscribe from former ones."""
-        stated = self._state.pose_sources - inputs.TYPES.keys()
-        for topic in self._sources.keys() - stated:
+        current = self._state.pose_sources - inputs.TYPES.keys()
+        for topic in self._sources.keys() - current:
             subscription = self._sources.pop(topic)
             if subscription is not None:
                 self.destroy_subscription(subscription)
                 del self._waiting[topic]
-        for topic in stated - self._sources.keys():
+        for topic in current - self._sources.keys():
             self._sources[topic] = None
             try:
                 self._sources[topic] = self._subscribe_raw(topic)

@@ -79,14 +79,14 @@ class SourceReader(NamedTuple):
 
     kind: int
     fields: RecordClass  # record class of the messages
-    stated: SourceParameters | None = None  # parameters of the source
+    parameters: SourceParameters | None = None  # parameters of the source
     absent: tuple[str, Rejection] | None = None  # field whose ABSENT rejects a message, and the reason
 
     def rows(self, read: Rows) -> Rows:
         """(n,) ARRIVAL, without source and log time, of (n,) records of ``fields``."""
         rows = np.zeros(len(read), ARRIVAL)
         rows["kind"], rows["stamp_ns"] = self.kind, read["stamp_ns"]
-        _FILL_FUNCTIONS[self.kind](rows, read, self.stated)
+        _FILL_FUNCTIONS[self.kind](rows, read, self.parameters)
         return rows
 
 
@@ -95,32 +95,32 @@ POSE_READER = SourceReader(POSE, PoseFields)
 SLIP_READER = SourceReader(SLIPS, SlipFields)
 
 
-def reader_of(stated: SourceParameters, type_name: str = "") -> SourceReader:
+def reader_of(source: SourceParameters, type_name: str = "") -> SourceReader:
     """Reader of a source with these parameters; ``type_name``: message type of a heading source."""
-    match stated:
+    match source:
         case YawRateSource():
-            return SourceReader(YAW_RATE, ImuFields, stated, ("variance_x", Rejection.NO_RATE))
+            return SourceReader(YAW_RATE, ImuFields, source, ("variance_x", Rejection.NO_RATE))
         case HeadingSource() if type_name == HEADING_MESSAGES["imu"]:
-            return SourceReader(HEADING, OrientationFields, stated, ("absent", Rejection.NO_ORIENTATION))
+            return SourceReader(HEADING, OrientationFields, source, ("absent", Rejection.NO_ORIENTATION))
         case HeadingSource():
-            return SourceReader(HEADING, QuaternionFields, stated)
+            return SourceReader(HEADING, QuaternionFields, source)
         case SwingSource():
-            return SourceReader(ON_SWING, SwingFields, stated)
+            return SourceReader(ON_SWING, SwingFields, source)
         case OdometrySource():  # caller fills in the numbers of frames
-            _, field, rejection = ODOMETRY_FIELDS[stated.covariance]
-            return SourceReader(ODOMETRY, OdometryPoseFields, stated, (field, rejection) if field else None)
+            _, field, rejection = ODOMETRY_FIELDS[source.covariance]
+            return SourceReader(ODOMETRY, OdometryPoseFields, source, (field, rejection) if field else None)
         case _:
-            return SourceReader(VELOCITY, VelocityFields, stated, ("absent", Rejection.NO_VELOCITY))
+            return SourceReader(VELOCITY, VelocityFields, source, ("absent", Rejection.NO_VELOCITY))
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
     """(n,) MEASUREMENT of (n,) ARRIVAL from ``sources``; ``numbers``: source numbers of the estimator."""
-    found = np.empty(len(rows), MEASUREMENT)
+    measurements = np.empty(len(rows), MEASUREMENT)
     for name in _FIELDS:
-        found[name] = rows[name]
-    own = np.array([MANUAL if name == SET_POSE else numbers.get(name, 0) for name in sources])
-    found["source"] = own[rows["source"]]
-    return found
+        measurements[name] = rows[name]
+    number_of_source = np.array([MANUAL if name == SET_POSE else numbers.get(name, 0) for name in sources])
+    measurements["source"] = number_of_source[rows["source"]]
+    return measurements
 
 
 def _fill_sprockets(rows: Rows, read: Rows, _: object) -> None:
@@ -131,12 +131,12 @@ def _fill_sprockets(rows: Rows, read: Rows, _: object) -> None:
 
 def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
     """Fill yaw rates, equal to ``conversions.yaw_rate`` to the last bit."""
-    R, unknown = imu.mounting, imu.stddev**2
-    stated = [read[f"variance_{axis}"] for axis in "xyz"]
+    R, default_variance = imu.mounting, imu.stddev**2
+    variances = [read[f"variance_{axis}"] for axis in "xyz"]
     p, q, r = rotate(R, [read[f"rate_{axis}"] for axis in "xyz"])
-    variances = rotate_variances(R, [np.where(v != 0.0, v, unknown) for v in stated])
+    rotated_variances = rotate_variances(R, [np.where(v != 0.0, v, default_variance) for v in variances])
     rows["value"] = np.column_stack((r, p, q))
-    for k, variance in enumerate((variances[2], *variances[:2])):
+    for k, variance in enumerate((rotated_variances[2], *rotated_variances[:2])):
         rows["noise"][:, k, k] = variance
     x, y, z = (read[f"acceleration_variance_{axis}"] for axis in "xyz")
     present, mean = x != ABSENT, (x + y + z) / 3.0
@@ -147,9 +147,9 @@ def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
     rows["up"] = rows["up_variances"] = np.nan
     if imu.use_orientation:
         rows["up"] = np.column_stack(rotate(R, vertical_axis(*(read[f"q{axis}"] for axis in "xyzw"))))
-        stated = [read[f"orientation_variance_{axis}"] for axis in "xyz"]
-        of_up = np.column_stack(rotate_variances(R, stated)[:2])
-        rows["up_variances"] = np.where(stated[0][:, None] != ABSENT, of_up, ABSENT)
+        variances = [read[f"orientation_variance_{axis}"] for axis in "xyz"]
+        up_variances = np.column_stack(rotate_variances(R, variances)[:2])
+        rows["up_variances"] = np.where(variances[0][:, None] != ABSENT, up_variances, ABSENT)
 
 
 def _fill_poses(rows: Rows, read: Rows, _: object) -> None:
@@ -165,8 +165,8 @@ def _fill_slips(rows: Rows, read: Rows, _: object) -> None:
 def _fill_headings(rows: Rows, read: Rows, compass: HeadingSource) -> None:
     rows["value"][:, 0], rows["noise"][:, 0, 0] = compass.from_east(headings_of(read)), compass.stddev**2
     if "absent" in (read.dtype.names or ()):
-        stated = read["variance_z"] != 0.0
-        rows["noise"][stated, 0, 0] = read["variance_z"][stated]
+        has_variance = read["variance_z"] != 0.0
+        rows["noise"][has_variance, 0, 0] = read["variance_z"][has_variance]
 
 
 def _fill_swings(rows: Rows, read: Rows, angle: SwingSource) -> None:
@@ -187,8 +187,8 @@ def _fill_velocities(rows: Rows, read: Rows, velocity: VelocitySource) -> None:
     rows["value"][:, 0], rows["value"][:, 1] = read["v_x"], read["v_y"]
     rows["noise"][:, :2, :2] = read["covariance"]
     for i in range(2):
-        stated = rows["noise"][:, i, i]
-        rows["noise"][:, i, i] = np.where(stated != 0.0, stated, velocity.stddev**2)
+        variances = rows["noise"][:, i, i]
+        rows["noise"][:, i, i] = np.where(variances != 0.0, variances, velocity.stddev**2)
 
 
 _FILL_FUNCTIONS: dict[int, Callable[[Rows, Rows, Any], None]] = {

@@ -97,8 +97,8 @@ class JournalRuns:
         sprockets: number of the sprocket source.
     """
 
-    def __init__(self, found: Comparability, sources: Sequence[str], sprockets: int) -> None:
-        self._comparability, self._sources, self._sprockets = found, sources, sprockets
+    def __init__(self, comparability: Comparability, sources: Sequence[str], sprockets: int) -> None:
+        self._comparability, self._sources, self._sprockets = comparability, sources, sprockets
         self._part: ComparablePart | None = None  # part of the next line
         self._awaits_estimate = False  # whether the run has no estimate yet
         self._samples, self._required_samples = 0, 0  # sprocket samples since the last loss

@@ -91,18 +91,18 @@ class TopicComparison:
         if len(live):
             newest_ns = int(live["stamp_ns"].max())
             self._newest_ns = newest_ns if self._newest_ns is None else max(self._newest_ns, newest_ns)
-        waiting, theirs = _merge_rows(self._live, live), _merge_rows(self._replayed, replayed)
-        _, mine, others = np.intersect1d(
-            waiting["stamp_ns"], theirs["stamp_ns"], assume_unique=True, return_indices=True
+        live_rows, replayed_rows = _merge_rows(self._live, live), _merge_rows(self._replayed, replayed)
+        _, in_live, in_replayed = np.intersect1d(
+            live_rows["stamp_ns"], replayed_rows["stamp_ns"], assume_unique=True, return_indices=True
         )
-        inside = theirs["part"][others] > 0
-        self._compare_pairs(waiting[mine[inside]], theirs[others[inside]])
+        is_comparable = replayed_rows["part"][in_replayed] > 0
+        self._compare_pairs(live_rows[in_live[is_comparable]], replayed_rows[in_replayed[is_comparable]])
         oldest_ns = (self._newest_ns or 0) - WAITING_NS
-        self._live, late = _split_by_age(np.delete(waiting, mine), oldest_ns)
-        self._replayed, unpaired = _split_by_age(np.delete(theirs, others), oldest_ns)
-        unpaired_live = _count_in_parts(parts, late["stamp_ns"])
+        self._live, late_live = _split_by_age(np.delete(live_rows, in_live), oldest_ns)
+        self._replayed, late_replayed = _split_by_age(np.delete(replayed_rows, in_replayed), oldest_ns)
+        unpaired_live = _count_in_parts(parts, late_live["stamp_ns"])
         self._compared += unpaired_live
-        self._unmatched += unpaired_live + self._count_between_pairs(unpaired)
+        self._unmatched += unpaired_live + self._count_between_pairs(late_replayed)
 
     def count_compared(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
         """Number of live rows in the parts, without those after ``end_ns``."""
@@ -165,7 +165,7 @@ class LiveComparer:
         """Add rows of a topic or of ``TILT``; either side may be empty.
 
         Args:
-            what: the topic.
+            what: the topic, or ``TILT``.
             live: rows of the topic.
             replayed: (n,) rows of the topic.
             numbers: (n,) parts of the replayed rows, 0 for none; None: all in the first part.
@@ -179,18 +179,18 @@ class LiveComparer:
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """Result over all topics; ``counts`` are those of the whole journal."""
-        all_of_them = self._compared.values()
+        topics = self._compared.values()
         parts, end_ns = counts.parts, counts.last_sprockets_ns
-        largest, what = max((one.largest, what) for what, one in self._compared.items())
+        largest, name = max((topic.largest, name) for name, topic in self._compared.items())
         return LiveComparison(
-            max(one.count_compared(parts, end_ns) for one in all_of_them),
-            sum(one.count_unmatched(parts, end_ns) for one in all_of_them),
+            max(topic.count_compared(parts, end_ns) for topic in topics),
+            sum(topic.count_unmatched(parts, end_ns) for topic in topics),
             largest.size,
             counts.lost_lines,
             counts.lost_inputs,
             counts.comparable,
             counts.disordered_lines,
-            f"{largest.column} of {ODOMETRY if what == TILT else what}" if largest.size else "",
+            f"{largest.column} of {ODOMETRY if name == TILT else name}" if largest.size else "",
         )
 
 
@@ -255,18 +255,18 @@ def _select_columns(rows: Rows, names: Sequence[str], numbers: IntArray | None =
     dtype = _dtype(names)
     if numbers is not None:
         dtype = np.dtype([*dtype.descr, ("part", np.int64)])
-    found = np.zeros(len(rows), dtype)
+    columns = np.zeros(len(rows), dtype)
     if numbers is not None:
-        found["part"] = numbers
-    known = rows.dtype.names or ()
+        columns["part"] = numbers
+    available = rows.dtype.names or ()
     for name in ("stamp_ns", *names) if len(rows) else ():
-        if name in known:
-            found[name] = rows[name]
+        if name in available:
+            columns[name] = rows[name]
         elif name == "heading":
-            found[name] = headings_of(rows)
+            columns[name] = headings_of(rows)
         else:
-            found[name] = tilts_of(rows)[:, _TILT.index(name)]
-    return sort_by_stamp(found)
+            columns[name] = tilts_of(rows)[:, _TILT.index(name)]
+    return sort_by_stamp(columns)
 
 
 def _merge_rows(known: Rows | None, more: Rows) -> Rows:
@@ -299,27 +299,29 @@ def compared_parts(live: LiveComparison, start_ns: int) -> dict[str, Any]:
     def seconds(log_time_ns: int) -> float:
         return (log_time_ns - start_ns) * 1e-9
 
-    found = live.comparability
+    comparability = live.comparability
     return {
         "estimates": live.compared,
-        "parts": [{"start": seconds(p.begin_log_ns), "stop": seconds(p.end_log_ns)} for p in found.parts],
-        "breaks": [{"time": seconds(one.log_time_ns), "reason": one.why} for one in found.breaks],
+        "parts": [
+            {"start": seconds(p.begin_log_ns), "stop": seconds(p.end_log_ns)} for p in comparability.parts
+        ],
+        "breaks": [{"time": seconds(gap.log_time_ns), "reason": gap.why} for gap in comparability.breaks],
     }
 
 
 def partial_comparison_lines(live: LiveComparison, start_ns: int) -> list[str]:
     """A line for the terminal if the replay was only compared in part."""
-    found = live.comparability
-    if not found.breaks or not found.parts:
+    comparability = live.comparability
+    if not comparability.breaks or not comparability.parts:
         return []
     parts = [
         f"from {(p.begin_log_ns - start_ns) * 1e-9:.2f} to {(p.end_log_ns - start_ns) * 1e-9:.2f} s"
-        for p in found.parts[:_MOST_NAMED]
+        for p in comparability.parts[:_MOST_NAMED]
     ]
-    more = len(found.parts) - len(parts)
+    more = len(comparability.parts) - len(parts)
     parts += [f"and {more} more parts"] if more else []
-    first = found.breaks[0]
-    others = len(found.breaks) - 1
+    first = comparability.breaks[0]
+    others = len(comparability.breaks) - 1
     further = f" ({others} more such places)" if others else ""
     at_s = (first.log_time_ns - start_ns) * 1e-9
     return [f"  compared {', '.join(parts)}; not from {at_s:.2f} s, where {first.why}{further}"]

@@ -49,9 +49,9 @@ class DeadReckoner:
 
     def add(self, rows: Rows) -> None:
         """Add rows of ``ARRIVAL``."""
-        for parts, found in ((self._sprockets, _sprocket_samples(rows)), (self._gyro, _yaw_rates(rows))):
-            if len(found):
-                parts.append(found)
+        for parts, samples in ((self._sprockets, _sprocket_samples(rows)), (self._gyro, _yaw_rates(rows))):
+            if len(samples):
+                parts.append(samples)
         if self.first_ns is None and self._sprockets:
             self.first_ns = int(self._sprockets[0]["stamp_ns"].min())
 
@@ -86,9 +86,13 @@ def _sprocket_samples(rows: Rows) -> Rows:
     speeds, positions = (
         np.column_stack((rows[f"left_{name}"], rows[f"right_{name}"])) for name in ("speed", "angle")
     )
-    sound = (np.abs(speeds) < _MAX_VALUE).all(axis=1)
-    sound &= (np.abs(positions) < _MAX_VALUE).all(axis=1) | np.isnan(positions).all(axis=1)
-    columns = {"stamp_ns": rows["stamp_ns"][sound], "speeds": speeds[sound], "positions": positions[sound]}
+    is_valid = (np.abs(speeds) < _MAX_VALUE).all(axis=1)
+    is_valid &= (np.abs(positions) < _MAX_VALUE).all(axis=1) | np.isnan(positions).all(axis=1)
+    columns = {
+        "stamp_ns": rows["stamp_ns"][is_valid],
+        "speeds": speeds[is_valid],
+        "positions": positions[is_valid],
+    }
     return series_of(**columns).rows
 
 
@@ -96,8 +100,8 @@ def _yaw_rates(rows: Rows) -> Rows:
     """The valid yaw rates."""
     rows = rows[rows["kind"] == YAW_RATE]
     rates, variances = rows["value"][:, 0], rows["noise"][:, 0, 0]
-    sound = (np.abs(rates) < _MAX_VALUE) & (variances > 0.0) & (variances < _MAX_VALUE**2)
-    return series_of(stamp_ns=rows["stamp_ns"][sound], rate=rates[sound]).rows
+    is_valid = (np.abs(rates) < _MAX_VALUE) & (variances > 0.0) & (variances < _MAX_VALUE**2)
+    return series_of(stamp_ns=rows["stamp_ns"][is_valid], rate=rates[is_valid]).rows
 
 
 def _sort_by_stamp(rows: Rows) -> Rows:
@@ -122,13 +126,13 @@ def dead_reckon(
         at_start = np.interp(start_ns - stamps[0], stamps - stamps[0], travel)
         return np.asarray(np.concatenate(([at_start], travel[after])) - at_start, dtype=np.float64)
 
-    left, right = (since_start(vehicle.rolling_radius * turned) for turned in _sprocket_angles(sprockets))
-    turned = (right - left) / vehicle.tread if gyro is None else _gyro_angle(gyro, grid)
-    heading = start_pose[2] + turned
+    left, right = (since_start(vehicle.rolling_radius * angles) for angles in _sprocket_angles(sprockets))
+    yaw = (right - left) / vehicle.tread if gyro is None else _gyro_angle(gyro, grid)
+    heading = start_pose[2] + yaw
     steps = np.diff((left + right) / 2.0)
-    halfway = (heading[1:] + heading[:-1]) / 2.0
-    x = start_pose[0] + np.concatenate(([0.0], np.cumsum(steps * np.cos(halfway))))
-    y = start_pose[1] + np.concatenate(([0.0], np.cumsum(steps * np.sin(halfway))))
+    mean_heading = (heading[1:] + heading[:-1]) / 2.0
+    x = start_pose[0] + np.concatenate(([0.0], np.cumsum(steps * np.cos(mean_heading))))
+    y = start_pose[1] + np.concatenate(([0.0], np.cumsum(steps * np.sin(mean_heading))))
     return Path(grid, np.stack((x, y, heading), axis=-1))
 
 
@@ -145,6 +149,6 @@ def _gyro_angle(gyro: Rows, grid: IntArray) -> FloatArray:
     stamps, rates = gyro["stamp_ns"], gyro["rate"]
     edges = np.unique(np.concatenate((stamps, grid)))
     rate = np.interp(edges - edges[0], stamps - edges[0], rates)
-    turned = np.concatenate(([0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(edges) * 1e-9)))
-    turned -= turned[np.searchsorted(edges, grid[0])]
-    return turned[np.searchsorted(edges, grid)]
+    angle = np.concatenate(([0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(edges) * 1e-9)))
+    angle -= angle[np.searchsorted(edges, grid[0])]
+    return angle[np.searchsorted(edges, grid)]

@@ -51,11 +51,11 @@ class TruthPairing:
         self._truth.add(truth)
         self._estimates.add(estimates)
         until_ns = min(self._estimates.last_ns, self._truth.last_ns)
-        found, true = self._estimates.pop_until(until_ns), self._truth.pop_until(until_ns)
-        if found is None or true is None:
+        due, true = self._estimates.pop_until(until_ns), self._truth.pop_until(until_ns)
+        if due is None or true is None:
             return None
-        inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
-        return found[inside], true
+        inside = (due["stamp_ns"] >= true["stamp_ns"][0]) & (due["stamp_ns"] <= true["stamp_ns"][-1])
+        return due[inside], true
 
 
 class PathErrors:
@@ -82,26 +82,31 @@ class PathErrors:
             path, P = _join_paths(*self._recent, path, P)
         recent = slice(int(np.searchsorted(path.stamps_ns, path.stamps_ns[-1] - _RECENT_NS)), None)
         self._recent = Path(path.stamps_ns[recent], path.poses[recent]), P[recent]
-        due = self._reference.pop_until(int(path.stamps_ns[-1]))
-        if due is None:
+        rows = self._reference.pop_until(int(path.stamps_ns[-1]))
+        if rows is None:
             return
-        R = due["covariance"] if "covariance" in (due.dtype.names or ()) else None
-        true = Path(due["stamp_ns"], np.column_stack([due[name] for name in ("x", "y", "heading")]), R)
-        errors = errors_of(path, true)
+        R = rows["covariance"] if "covariance" in (rows.dtype.names or ()) else None
+        reference_path = Path(
+            rows["stamp_ns"], np.column_stack([rows[name] for name in ("x", "y", "heading")]), R
+        )
+        errors = errors_of(path, reference_path)
         self._count += len(errors)
         if len(errors):
             self.last_position = float(np.hypot(*errors[-1, :2]))
         self._position += float(np.sum(errors[:, :2] ** 2))
-        headed = np.isfinite(errors[:, 2])
-        self._with_heading += int(headed.sum())
-        self._heading += float(np.sum(errors[headed, 2] ** 2))
+        has_heading = np.isfinite(errors[:, 2])
+        self._with_heading += int(has_heading.sum())
+        self._heading += float(np.sum(errors[has_heading, 2] ** 2))
         if covariances is not None:
-            pose, position = nees_of_each(path, P, true)[0], nees_of_each(path, P, true, 2)[0]
-            known, known_position = headed & np.isfinite(pose), np.isfinite(position)
-            self._nees += float(np.sum(pose[known]))
-            self._nees_position += float(np.sum(position[known_position]))
-            self._with_nees += int(known.sum())
-            self._with_nees_position += int(known_position.sum())
+            pose, position = (
+                nees_of_each(path, P, reference_path)[0],
+                nees_of_each(path, P, reference_path, 2)[0],
+            )
+            has_nees, has_position_nees = has_heading & np.isfinite(pose), np.isfinite(position)
+            self._nees += float(np.sum(pose[has_nees]))
+            self._nees_position += float(np.sum(position[has_position_nees]))
+            self._with_nees += int(has_nees.sum())
+            self._with_nees_position += int(has_position_nees.sum())
 
     def add_estimates(self, estimates: Rows, reference: Rows | None) -> None:
         """Add both; estimates (n,) with stamp_ns, pose, pose_covariance."""
@@ -149,12 +154,12 @@ class SlipErrors:
             np.searchsorted(estimates["stamp_ns"], estimates["stamp_ns"][-1] - _RECENT_NS) :
         ]
         until_ns = min(int(estimates["stamp_ns"][-1]), self._slips.last_ns, self._odometry.last_ns)
-        true, driven = self._slips.pop_until(until_ns), self._odometry.pop_until(until_ns)
-        if true is None or driven is None:
+        true_slips, true_odometry = self._slips.pop_until(until_ns), self._odometry.pop_until(until_ns)
+        if true_slips is None or true_odometry is None:
             return
         left, right = estimates["slips"][:, 0], estimates["slips"][:, 1]
-        own = series_of(stamp_ns=estimates["stamp_ns"], left_slip=left, right_slip=right)
-        errors = slip_errors(own, moving_slips(Series(driven), Series(true), self._tread))
+        series = series_of(stamp_ns=estimates["stamp_ns"], left_slip=left, right_slip=right)
+        errors = slip_errors(series, moving_slips(Series(true_odometry), Series(true_slips), self._tread))
         self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + errors.size
 
     @property

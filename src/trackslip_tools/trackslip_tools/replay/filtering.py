@@ -17,21 +17,21 @@ class ArrivalFilter:
     def __init__(self, filters: InputFilters, sources: Sequence[str], origin_ns: int) -> None:
         self._filters, self._sources, self._origin_ns = filters, sources, origin_ns
         self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
-        self._thinned = [_Thinner(thin, sources, filters.seed) for thin in filters.thin]
+        self._thinners = [_Thinner(thin, sources, filters.seed) for thin in filters.thin]
 
     def __call__(self, rows: Rows) -> Rows:
         """The arrivals (in log order) that remain, with the noise that thinning adds."""
         t = (rows["log_time_ns"] - self._origin_ns) * 1e-9
-        hidden = np.zeros(len(rows), np.bool_)
+        is_hidden = np.zeros(len(rows), np.bool_)
         for k, withhold in enumerate(self._filters.withhold):
             if withhold.topic in self._sources:
-                own = rows["source"] == self._sources.index(withhold.topic)
-                hides = withhold.covers(t) & own
-                self.hidden[k] += int(hides.sum())
-                hidden |= hides
-        rows = rows[~hidden]
-        for thinned in self._thinned:
-            rows = thinned(rows)
+                is_source = rows["source"] == self._sources.index(withhold.topic)
+                is_withheld = withhold.covers(t) & is_source
+                self.hidden[k] += int(is_withheld.sum())
+                is_hidden |= is_withheld
+        rows = rows[~is_hidden]
+        for thinner in self._thinners:
+            rows = thinner(rows)
         return rows
 
 
@@ -46,25 +46,25 @@ class _Thinner:
         self._due_ns: int | None = None
 
     def __call__(self, rows: Rows) -> Rows:
-        own = np.flatnonzero(rows["source"] == self._source)
-        kept = self._is_kept(rows["stamp_ns"][own].tolist())
-        stays = np.ones(len(rows), np.bool_)
-        stays[own[~kept]] = False
-        own = own[kept]
-        if self._sigma is not None and own.size and (rows["kind"][own] == POSE).all():
+        indices = np.flatnonzero(rows["source"] == self._source)
+        is_kept = self._is_kept(rows["stamp_ns"][indices].tolist())
+        remains = np.ones(len(rows), np.bool_)
+        remains[indices[~is_kept]] = False
+        indices = indices[is_kept]
+        if self._sigma is not None and indices.size and (rows["kind"][indices] == POSE).all():
             rows = rows.copy()
-            rows["value"][own, :2] += self._rng.normal(0.0, self._sigma, (own.size, 2))
-            covariances = rows["noise"][own]
+            rows["value"][indices, :2] += self._rng.normal(0.0, self._sigma, (indices.size, 2))
+            covariances = rows["noise"][indices]
             covariances[:, :2, :] = covariances[:, :, :2] = 0.0
             covariances[:, 0, 0] = covariances[:, 1, 1] = self._sigma**2
-            rows["noise"][own] = covariances
-        return rows[stays]
+            rows["noise"][indices] = covariances
+        return rows[remains]
 
     def _is_kept(self, stamps_ns: list[int]) -> BoolArray:
-        kept = np.zeros(len(stamps_ns), np.bool_)
+        is_kept = np.zeros(len(stamps_ns), np.bool_)
         for k, stamp_ns in enumerate(stamps_ns):
             if self._due_ns is None or stamp_ns >= self._due_ns:
                 due_ns = stamp_ns if self._due_ns is None else self._due_ns
                 self._due_ns = due_ns + self._period_ns * ((stamp_ns - due_ns) // self._period_ns + 1)
-                kept[k] = True
-        return kept
+                is_kept[k] = True
+        return is_kept

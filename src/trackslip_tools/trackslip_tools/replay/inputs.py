@@ -93,8 +93,8 @@ class InputStream:
     def __init__(
         self, bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, tables: Collection[str] = ()
     ) -> None:
-        backwards = {after: before for before, after in filters.remap.items()}
-        require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
+        original_names = {after: before for before, after in filters.remap.items()}
+        require_topics(bag, [original_names.get(SPROCKETS, SPROCKETS)])
         self._bag, self._filters, self._tables = bag, filters, tables
         self._reloadable = reloadable_names(p)
         names = {topic: filters.remap.get(name, name) for topic, name in input_names(bag).items()}
@@ -150,15 +150,15 @@ class InputStream:
         counts = {name: self._bag.topics[topic].count for topic, name in self._names.items()}
         missing = {name for name in self._readers if counts.get(name, 0)}
         missing |= {RELOAD} if counts.get(RELOAD, 0) > 1 else set()  # the first message changes nothing
-        found: set[int] = set()
+        journaled: set[int] = set()
         reports = [topic for topic in self._names if self._names[topic] == REPORTS]
         for stretch in read_tables(self._bag, reports, *self._span) if reports else ():
             sources = {int(source) for source in self._journal_lines(stretch)["source"]}
-            found |= sources
+            journaled |= sources
             missing -= {self.sources[source] for source in sources if source >= 0}
             if not missing:
                 break
-        return found
+        return journaled
 
     def _journal_lines(self, stretch: Stretch) -> Rows:
         """(n,) LINE of the journal; source −1 for topics that are no inputs."""
@@ -176,7 +176,7 @@ class InputStream:
 
     def _read_arrivals(self, stretch: Stretch, parameters: "_ParameterChanges") -> Rows:
         """(n,) ARRIVAL in log order; changes of parameters come after inputs of the same log time."""
-        parts, places = [np.empty(0, ARRIVAL)], [np.empty(0, np.int64)]
+        parts, orders = [np.empty(0, ARRIVAL)], [np.empty(0, np.int64)]
         changes = [np.empty(0, ARRIVAL)]
         for topic, table in stretch.items():
             name = self._names[topic]
@@ -191,31 +191,33 @@ class InputStream:
                 if reader.kind == ODOMETRY_KIND:
                     rows["frame"] = _frame_numbers(table)
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
-                usable = self._has_required_frame(name, table)
-                usable &= self._has_measurement(name, reader, read, usable)
-                self._extend_duration(rows["stamp_ns"][usable], name)
-                parts.append(rows[usable])
-                places.append(table.order[usable])
-        rows = np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
+                is_usable = self._has_required_frame(name, table)
+                is_usable &= self._has_measurement(name, reader, read, is_usable)
+                self._extend_duration(rows["stamp_ns"][is_usable], name)
+                parts.append(rows[is_usable])
+                orders.append(table.order[is_usable])
+        rows = np.concatenate(parts)[np.argsort(np.concatenate(orders), kind="stable")]
         rows = np.concatenate((rows, *changes))
         return rows[np.argsort(rows["log_time_ns"], kind="stable")]
 
     def _has_required_frame(self, name: str, table: TopicTable) -> BoolArray:
         """(n,) whether each message has the frame_id required of its source, as the live node checks."""
-        requested = self._frames.get(name)
-        if requested is None:
+        required = self._frames.get(name)
+        if required is None:
             return np.ones(len(table), np.bool_)
         numbers = table.rows(FrameFields)["frame"]
-        usable = np.array([text == requested for text in table.texts])[numbers]
-        self.rejected.add(name, Rejection.OTHER_FRAME, int((~usable).sum()))
-        return np.asarray(usable)
+        has_frame = np.array([text == required for text in table.texts])[numbers]
+        self.rejected.add(name, Rejection.OTHER_FRAME, int((~has_frame).sum()))
+        return np.asarray(has_frame)
 
-    def _has_measurement(self, name: str, reader: SourceReader, read: Rows, usable: BoolArray) -> BoolArray:
+    def _has_measurement(
+        self, name: str, reader: SourceReader, read: Rows, is_usable: BoolArray
+    ) -> BoolArray:
         """(n,) whether each message contains the measured quantity, as the live node checks."""
         if reader.absent is None:
-            return usable
+            return is_usable
         field_, reason = reader.absent
-        lacks = usable & (read[field_] == ABSENT)
+        lacks = is_usable & (read[field_] == ABSENT)
         self.rejected.add(name, reason, int(lacks.sum()))
         return np.asarray(~lacks)
 
@@ -272,10 +274,10 @@ class _ParameterChanges:
             self._starts.append(
                 Start(self._changed_parameters(now, self._first), read_learned(self._bag, message))
             )
-            other = [name for name in now if now[name] != self._first.get(name, now[name])]
-            other = sorted(set(other) - self._names - set(mounting_names(self._first)))
+            different = [name for name in now if now[name] != self._first.get(name, now[name])]
+            different = sorted(set(different) - self._names - set(mounting_names(self._first)))
             self.unknown.append(
-                f"the estimator was started again with other {', '.join(other)}" if other else ""
+                f"the estimator was started again with other {', '.join(different)}" if different else ""
             )
             self._before = now
         return rows[rows["log_time_ns"] > self._first_ns]
@@ -287,8 +289,8 @@ class _ParameterChanges:
 def _source_readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
     """Source → reader; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
-    for stated in (p.gyros(), p.compasses(), p.swing_encoders(), p.odometries(), p.velocities()):
-        readers |= {topic: reader_of(one, types.get(topic, "")) for topic, one in stated.items()}
+    for sources in (p.gyros(), p.compasses(), p.swing_encoders(), p.odometries(), p.velocities()):
+        readers |= {topic: reader_of(source, types.get(topic, "")) for topic, source in sources.items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 
@@ -296,8 +298,8 @@ def _source_readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dic
 def _frame_numbers(table: TopicTable) -> IntArray:
     """(n,) the number of each message's frame_id, as in the live node."""
     numbers = table.rows(FrameFields)["frame"]
-    of_texts: IntArray = np.array([frame_number(text) for text in table.texts], np.int64)
-    return np.asarray(of_texts[numbers])
+    number_of_text: IntArray = np.array([frame_number(text) for text in table.texts], np.int64)
+    return np.asarray(number_of_text[numbers])
 
 
 def _require_types(
@@ -312,12 +314,12 @@ def _require_types(
     expected |= dict.fromkeys(p.velocity_sources, FIX_VELOCITY)
     require_one_type(bag, names)
     for topic, name in names.items():
-        known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
-        accepted = [known.type_name] if known is not None else sorted(RECORDS)
+        topic_spec, type_name = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
+        accepted = [topic_spec.type_name] if topic_spec is not None else sorted(RECORDS)
         if name in p.compasses():
             accepted = sorted(HEADING_MESSAGES.values())
-        if found not in accepted and (known is not None or name in tables):
-            raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {' or '.join(accepted)}")
+        if type_name not in accepted and (topic_spec is not None or name in tables):
+            raise InputError(f"bag '{bag.path}': {topic} is a {type_name}; accepted: {' or '.join(accepted)}")
 
 
 def log_time_at(bag: Bag, seconds: float) -> int | None:

@@ -122,8 +122,8 @@ class LiveOrder:
 
     def _order_until(self, limit_ns: int) -> Rows:
         """Arrivals named by lines logged before ``limit_ns``, merged with those of sources without lines."""
-        rows, following = self._rows, self._lines["log_time_ns"] < limit_ns
-        lines = self._lines[following]
+        rows, is_due = self._rows, self._lines["log_time_ns"] < limit_ns
+        lines = self._lines[is_due]
         starts = self._find_starts(lines)
         lost = _count_missing_lines(lines["sequence"], self._last_sequence, [start.line for start in starts])
         self.counts.lost_lines += int(lost[lost > 0].sum())
@@ -141,29 +141,29 @@ class LiveOrder:
                 int(lines["sequence"][-1]),
                 int(lines["log_time_ns"][-1]),
             )
-        others = np.flatnonzero(is_free & self._is_due_by_log_time(rows, limit_ns))
-        before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][others])  # the line they precede
-        there = np.flatnonzero((named >= 0) | is_command)
-        again = [start for start in starts if start.is_restart]
-        processed = _processed_rows(rows, lines[there], named[there])
-        found = np.concatenate((rows[others], _start_rows(rows, lines, again), processed))
-        places = np.concatenate((before, [start.line for start in again], there)).astype(np.int64)
-        order = np.lexsort((np.repeat((0, 1, 2), (others.size, len(again), there.size)), places))
+        merged = np.flatnonzero(is_free & self._is_due_by_log_time(rows, limit_ns))
+        before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][merged])  # the line they precede
+        processed = np.flatnonzero((named >= 0) | is_command)
+        restarts = [start for start in starts if start.is_restart]
+        processed_rows = _processed_rows(rows, lines[processed], named[processed])
+        ordered = np.concatenate((rows[merged], _start_rows(rows, lines, restarts), processed_rows))
+        places = np.concatenate((before, [start.line for start in restarts], processed)).astype(np.int64)
+        order = np.lexsort((np.repeat((0, 1, 2), (merged.size, len(restarts), processed.size)), places))
         numbers = np.append(parts, parts[-1] if len(parts) else self._part)
-        found["part"], self._part = numbers[places], int(numbers[-1])
-        left = is_free.copy()
-        left[others] = left[named[named >= 0]] = False
-        left |= _repeats_parameters(rows) & (rows["log_time_ns"] > self._last_line_ns)
-        self._rows = rows[left & ~self._is_too_old(rows, limit_ns)]
-        self._lines = self._lines[~following]
-        return found[order]
+        ordered["part"], self._part = numbers[places], int(numbers[-1])
+        is_waiting = is_free.copy()
+        is_waiting[merged] = is_waiting[named[named >= 0]] = False
+        is_waiting |= _repeats_parameters(rows) & (rows["log_time_ns"] > self._last_line_ns)
+        self._rows = rows[is_waiting & ~self._is_too_old(rows, limit_ns)]
+        self._lines = self._lines[~is_due]
+        return ordered[order]
 
     def _find_starts(self, lines: Rows) -> list["_Start"]:
         """Starts of runs: lines whose number goes back, after new parameters or to number 0.
 
         The first run of all has the parameters of the bag.
         """
-        found = []
+        starts = []
         reloads = np.flatnonzero(self._rows["kind"] == IS_RELOAD)
         before = np.append(self._last_sequence, lines["sequence"])[:-1]
         for k in np.flatnonzero(lines["sequence"] <= before).tolist():
@@ -171,16 +171,16 @@ class LiveOrder:
             is_first = k == 0 and self._last_sequence == _NO_LINE
             row = self._parameters_row(reloads, lines[k], after_ns, is_first=is_first)
             if row >= 0:
-                found.append(_Start(k, row, self._unknown[self._rows["start"][row]], is_restart=True))
+                starts.append(_Start(k, row, self._unknown[self._rows["start"][row]], is_restart=True))
             elif is_first or before[k] > 0 == lines["sequence"][k]:  # lines without numbers start no run
-                found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, is_restart=not is_first))
-        return found
+                starts.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, is_restart=not is_first))
+        return starts
 
     def _parameters_row(self, reloads: IntArray, line: np.void, after_ns: int, *, is_first: bool) -> int:
         """Row of the parameters with which the run of this line begins; −1: none."""
         logged_ns, at_ns = self._rows["log_time_ns"], line["log_time_ns"]
-        own = reloads[logged_ns[reloads] > after_ns]
-        earlier, later = own[logged_ns[own] <= at_ns], own[logged_ns[own] > at_ns]
+        candidates = reloads[logged_ns[reloads] > after_ns]
+        earlier, later = candidates[logged_ns[candidates] <= at_ns], candidates[logged_ns[candidates] > at_ns]
         if self._sources[line["source"]] == RELOAD:
             earlier = earlier[:-1]  # the line itself names the last one
         if earlier.size:
@@ -235,25 +235,25 @@ def _repeats_parameters(rows: Rows) -> BoolArray:
 
 def _start_rows(rows: Rows, lines: Rows, starts: Sequence[_Start]) -> Rows:
     """(n,) ARRIVAL of ``IS_START``, one for each start."""
-    found = np.zeros(len(starts), ARRIVAL)
-    found["kind"] = IS_START
-    for row, start in zip(found, starts, strict=True):
+    start_rows = np.zeros(len(starts), ARRIVAL)
+    start_rows["kind"] = IS_START
+    for row, start in zip(start_rows, starts, strict=True):
         row["log_time_ns"] = lines["log_time_ns"][start.line]
         row["start"] = rows["start"][start.row] if start.row >= 0 else -1
-    return found
+    return start_rows
 
 
 def _processed_rows(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     """(n,) ARRIVAL of the lines: the rows that they name; a command where a line names none."""
-    found = np.zeros(len(lines), ARRIVAL)
+    processed = np.zeros(len(lines), ARRIVAL)
     is_row = named >= 0
-    found[is_row] = rows[named[is_row]]
+    processed[is_row] = rows[named[is_row]]
     commands = np.zeros(int((~is_row).sum()), ARRIVAL)
     commands["kind"] = IS_COMMAND
     for name in ("source", "stamp_ns", "log_time_ns"):
         commands[name] = lines[name][~is_row]
-    found[~is_row] = commands
-    return found
+    processed[~is_row] = commands
+    return processed
 
 
 def _match_free_rows(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
@@ -265,8 +265,8 @@ def _match_free_rows(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
     if is_free.all():
         return _match_rows(rows, lines)
     numbers = np.flatnonzero(is_free)
-    found = _match_rows(rows[numbers], lines)
-    return np.where(found >= 0, np.append(numbers, -1)[found], -1)
+    matches = _match_rows(rows[numbers], lines)
+    return np.where(matches >= 0, np.append(numbers, -1)[matches], -1)
 
 
 def _match_rows(rows: Rows, lines: Rows) -> IntArray:
@@ -281,11 +281,11 @@ def _match_rows(rows: Rows, lines: Rows) -> IntArray:
     at = np.flatnonzero(is_line)
     number = at - first[key[at]] - count[key[at]]  # number of the line within its key
     matched = number < count[key[at]]
-    found = np.full(len(lines), -1)
-    found[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]
-    unstamped = np.setdiff1d(np.flatnonzero(rows["stamp_ns"] == 0), found)
+    matches = np.full(len(lines), -1)
+    matches[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]
+    unstamped = np.setdiff1d(np.flatnonzero(rows["stamp_ns"] == 0), matches)
     for source in np.unique(rows["source"][unstamped]):
-        own = unstamped[rows["source"][unstamped] == source]
-        unnamed = np.flatnonzero((found < 0) & (lines["source"] == source))[: own.size]
-        found[unnamed] = own[: unnamed.size]
-    return found
+        unmatched = unstamped[rows["source"][unstamped] == source]
+        unnamed = np.flatnonzero((matches < 0) & (lines["source"] == source))[: unmatched.size]
+        matches[unnamed] = unmatched[: unnamed.size]
+    return matches

@@ -38,11 +38,11 @@ def explain_missing_estimate(
     if processed.heading_variance is not None:
         if processed.heading_variance <= UNKNOWN_HEADING**2:
             return ""
-        known = "heading unknown"
+        heading = "heading unknown"
         if is_heading_known(processed.heading_variance):
-            known += f" (±{math.degrees(math.sqrt(processed.heading_variance)):.0f}°)"
+            heading += f" (±{math.degrees(math.sqrt(processed.heading_variance)):.0f}°)"
         return (
-            f"{known}: it is found from fixes along some metres driven, or from a "
+            f"{heading}: it is found from fixes along some metres driven, or from a "
             "source with a heading, or initial_yaw with its initial_yaw_stddev"
         )
     if not processed.input_counts[SPROCKETS]:
@@ -53,15 +53,17 @@ def explain_missing_estimate(
         return "no sprocket sample could start it"
     sources = nonempty_names(p.pose_sources)
     rejected = processed.rejected.by_source()  # messages of another frame do not reach the estimator
-    came = [source for source in (*sources, SET_POSE) if processed.input_counts[source] or source in rejected]
+    active = [
+        source for source in (*sources, SET_POSE) if processed.input_counts[source] or source in rejected
+    ]
     if not sources:
         return f"no fix came: pose_sources names none{_other_pose_topics(bag, filters, sources)}"
-    if not came:
+    if not active:
         hidden = {edit.topic for edit in filters.withhold} & set(sources)
         why = f"{', '.join(sorted(hidden))} is withheld" if hidden else f"nothing on {', '.join(sources)}"
         return f"no fix came: {why}{_other_pose_topics(bag, filters, sources)}"
-    if _are_all_rejected(processed, came):
-        return f"every fix was rejected ({_rejection_reasons(processed, came)})"
+    if _are_all_rejected(processed, active):
+        return f"every fix was rejected ({_rejection_reasons(processed, active)})"
     return "no sprockets after the first fix"
 
 

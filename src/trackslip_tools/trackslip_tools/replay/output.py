@@ -141,10 +141,10 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     """
     rmse: dict[str, Any] = {}
     for name in _PATH_NAMES:
-        found = result.scores.get(name)
-        rmse[name] = found.position if found else None
-    of_filter = result.scores.get("filter")
-    rmse["heading"] = of_filter.heading if of_filter else None
+        score = result.scores.get(name)
+        rmse[name] = score.position if score else None
+    filter_score = result.scores.get("filter")
+    rmse["heading"] = filter_score.heading if filter_score else None
     rmse["slip"] = result.slip_rmse
     rmse["swing"] = result.swing_rmse
     rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
@@ -162,7 +162,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "rmse": rmse,
         "nees": result.nees,
         "nees_position": result.nees_position,
-        "withheld": [one.as_dict() for one in result.withheld],
+        "withheld": [withheld.as_dict() for withheld in result.withheld],
         "learned": to_json(result.learned[-1].findings) if result.learned else None,
         "explanations": [
             {
@@ -250,9 +250,9 @@ def _score_lines(result: Replay) -> list[str]:
         return ["no reference in the bag: nothing to score against (--reference TOPIC names one)"]
     lines = [f"{f'RMSE against {result.reference}':<34}{'position m':>12}{'heading rad':>14}"]
     for name, label in _PATH_NAMES.items():
-        found = result.scores.get(name)
-        position = f"{found.position:.4f}" if found else "–"
-        heading = f"{found.heading:.4f}" if found and found.heading is not None else "–"
+        score = result.scores.get(name)
+        position = f"{score.position:.4f}" if score else "–"
+        heading = f"{score.heading:.4f}" if score and score.heading is not None else "–"
         numbers = f"{position:>12}{heading:>14}"
         lines.append(f"  {label:<32}{numbers}")
     if result.slip_rmse is not None:

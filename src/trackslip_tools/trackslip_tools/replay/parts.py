@@ -47,7 +47,7 @@ class Part(NamedTuple):
     learned: list[LearnedValues]  # learned quantities within the part
     restart: EstimatorStart | None = None  # start of the estimator before this part, if it was started again
     accepted_events: Sequence[AcceptedEvent] = ()  # of the most probable branch, since the estimator's start
-    explained: Sequence[CompetingExplanations] = ()  # explanations within the part
+    explanations: Sequence[CompetingExplanations] = ()  # explanations within the part
 
     @property
     def estimates(self) -> Rows:
@@ -76,9 +76,9 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
         tables, restart, begin = batch.tables, None, 0
         for end in (*np.flatnonzero(batch.rows["kind"] == IS_START).tolist(), len(batch.rows)):
             rows = batch.rows[begin:end]
-            results, learned, explained = _process(stream, estimator, rows)
+            results, learned, explanations = _process(stream, estimator, rows)
             events = estimator.read_events()
-            yield Part(stream.sources, rows, results, tables, learned, restart, events, explained)
+            yield Part(stream.sources, rows, results, tables, learned, restart, events, explanations)
             if end < len(batch.rows):
                 restart = _later_start(p, stream, int(batch.rows["start"][end]))
                 estimator = SlipEstimator(restart.parameters, learned=restart.learned)
@@ -107,16 +107,16 @@ def _process(
     results = np.zeros(len(rows), RESULT)
     commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
     learned: list[LearnedValues] = []
-    explained: list[CompetingExplanations] = []
+    explanations: list[CompetingExplanations] = []
     begin = 0
-    looks = np.flatnonzero(np.diff(rows["log_time_ns"] // _EXPLANATION_PERIOD_NS)) + 1
+    periods = np.flatnonzero(np.diff(rows["log_time_ns"] // _EXPLANATION_PERIOD_NS)) + 1
     pieces = {*range(_PIECE_SIZE, len(rows), _PIECE_SIZE), len(rows)}
-    for end in np.unique((*commands, *looks, *pieces)).tolist():
-        given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
-        results[begin:end] = estimator.process_records(given)
+    for end in np.unique((*commands, *periods, *pieces)).tolist():
+        measurements = to_measurements(rows[begin:end], stream.sources, estimator.sources)
+        results[begin:end] = estimator.process_records(measurements)
         begin = end
         if estimator.started and end > 0:
-            explained.append(estimator.competing_explanations)
+            explanations.append(estimator.competing_explanations)
         if estimator.started and end > 0 and (end in pieces or end in commands):
             learned.append(
                 LearnedValues(
@@ -131,4 +131,4 @@ def _process(
             results["stamp_ns"][end] = rows["stamp_ns"][end]
             results["nis"][end] = results["gate"][end] = np.nan
             begin = end + 1
-    return results, learned, explained
+    return results, learned, explanations

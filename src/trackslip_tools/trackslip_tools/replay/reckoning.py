@@ -41,12 +41,12 @@ class Reckoning:
         rows = self._drawn.rows()
         return (Path(rows["stamp_ns"], rows["pose"]) if len(rows) else None), self._errors.score
 
-    def _begin(self, known: list[Rows]) -> None:
+    def _begin(self, pieces: list[Rows]) -> None:
         """Start at the first reference pose with a heading at or after the first sprocket sample."""
         first_ns = self.first_ns
-        if first_ns is None or not known:
+        if first_ns is None or not pieces:
             return
-        reference = np.concatenate(known)
+        reference = np.concatenate(pieces)
         later = reference[(reference["stamp_ns"] >= first_ns) & np.isfinite(reference["heading"])]
         if len(later):
             start = later[np.argmin(later["stamp_ns"])]

@@ -144,8 +144,8 @@ class Collector:
         self._tilt.add(estimates, tables.get(TRUE_ODOMETRY))
         self._swing.add(estimates, tables.get(TRUE_SWING))
         if self._reference is not None:
-            known = tables.get(self._reference)
-            reference = None if known is None else reduce_columns(known, detailed=True)
+            reference_rows = tables.get(self._reference)
+            reference = None if reference_rows is None else reduce_columns(reference_rows, detailed=True)
             self._errors.add_estimates(estimates, reference)
             self.withheld.add(estimates, part.tables.get(self._reference))
             for reckoning in self._reckonings.values():
@@ -156,23 +156,23 @@ class Collector:
     def result(self) -> Replay:
         """All results but those of soil, setup and withheld topics; called after the last part."""
         stream = self._stream
-        found = Replay(
+        result = Replay(
             stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
         )
-        found.start_ns = stream.start_ns
-        found.longest_gap = self._gaps.longest_gap(self._newest_ns, stream.start_ns)
-        found.reference, found.series = self._reference, self._series.series()
-        found.slip_rmse = self._slips.rmse
-        found.swing_rmse = self._swing.rmse
-        found.attitude_rmse, found.height_rmse = self._tilt.attitude, self._tilt.height
-        if len(found.estimates):
-            found.paths["filter"] = path_of(sort_by_stamp(found.estimates))
-        if self._reference is not None and self._reference in found.series:
-            self._add_scores(found, self._reference)
-        found.learned, found.accepted_events = self._learned, self._earlier_events + self._accepted_events
+        result.start_ns = stream.start_ns
+        result.longest_gap = self._gaps.longest_gap(self._newest_ns, stream.start_ns)
+        result.reference, result.series = self._reference, self._series.series()
+        result.slip_rmse = self._slips.rmse
+        result.swing_rmse = self._swing.rmse
+        result.attitude_rmse, result.height_rmse = self._tilt.attitude, self._tilt.height
+        if len(result.estimates):
+            result.paths["filter"] = path_of(sort_by_stamp(result.estimates))
+        if self._reference is not None and self._reference in result.series:
+            self._add_scores(result, self._reference)
+        result.learned, result.accepted_events = self._learned, self._earlier_events + self._accepted_events
         if self._compares and stream.messages[ODOMETRY]:
-            found.live = self._comparer.result(stream.counts)
-        return found
+            result.live = self._comparer.result(stream.counts)
+        return result
 
     def _keep_estimates(self, estimates: Rows) -> None:
         if len(estimates):
@@ -182,16 +182,16 @@ class Collector:
                 self._last[name] = estimates[name][-1]
             self.processed.heading_variance = float(estimates["pose_covariance"][-1, 2, 2])
 
-    def _add_scores(self, found: Replay, reference: str) -> None:
+    def _add_scores(self, result: Replay, reference: str) -> None:
         """Add the paths of reference and dead reckoning, and the errors of all against the reference."""
         first_ns = next((r.first_ns for r in self._reckonings.values()), None)
-        found.paths["reference"] = path_of_series(found.series[reference].rows_since(first_ns or 0))
-        found.scores["filter"] = self._errors.score
-        found.nees, found.nees_position = self._errors.nees, self._errors.nees_position
+        result.paths["reference"] = path_of_series(result.series[reference].rows_since(first_ns or 0))
+        result.scores["filter"] = self._errors.score
+        result.nees, result.nees_position = self._errors.nees, self._errors.nees_position
         for name, reckoning in self._reckonings.items():
-            path, found.scores[name] = reckoning.result()
+            path, result.scores[name] = reckoning.result()
             if path is not None:
-                found.paths[name] = path
+                result.paths[name] = path
 
     def _compare_with_live(self, part: Part) -> None:
         """Compare every live number with the replayed one of the same stamp."""

@@ -34,26 +34,24 @@ def replay(
     p: SlipEstimatorParameters,
     filters: InputFilters,
     reference: str | None,
-    of_soil: SoilEstimatorParameters | None = None,
+    soil_p: SoilEstimatorParameters | None = None,
     watch: Watch = lambda _: None,
 ) -> Replay:
-    """Run the slip estimator and, with ``of_soil``, the soil estimator over a bag; ``watch`` gets each part.
+    """Run the slip estimator and, with ``soil_p``, the soil estimator over a bag; ``watch`` gets each part.
 
     Raises:
         InputError: the bag lacks a required topic, or is damaged.
     """
     began = time.monotonic()
     reference = reference or default_reference(bag)
-    of_both = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
-    stream = InputStream(bag, p, filters, scored_topics(reference).union(of_both))
+    topics = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if soil_p is not None else ()))
+    stream = InputStream(bag, p, filters, scored_topics(reference).union(topics))
     withheld = WithheldErrors(filters, bag.start_ns)
     collector = Collector(
         stream, reference, p.vehicle.kinematics, withheld, compares=not filters.changes_inputs
     )
     soil = (
-        SoilRun(bag.start_ns, filters, of_soil)
-        if of_soil is not None and HYDRAULICS in stream.topics
-        else None
+        SoilRun(bag.start_ns, filters, soil_p) if soil_p is not None and HYDRAULICS in stream.topics else None
     )
     learned, start = learned_before_bag(bag, p)
     setup = SetupCollector(p)
@@ -68,8 +66,8 @@ def replay(
     result.no_estimate = explain_missing_estimate(bag, p, filters, collector.processed)
     result.start = start
     result.setup = check_collected(setup)
-    of_soil_alone = soil.hidden if soil is not None else [0] * len(stream.hidden)
-    result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, of_soil_alone, strict=True)])
+    hidden_hydraulics = soil.hidden if soil is not None else [0] * len(stream.hidden)
+    result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, hidden_hydraulics, strict=True)])
     if soil is not None and stream.messages[HYDRAULICS]:
         result.soil = soil.result(stream.counts.comparable)
     result.vehicle = p.vehicle.name

@@ -68,15 +68,15 @@ def nees_of_each(
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
-    inside = _is_covered(path, reference)
-    S = covariances[np.searchsorted(midpoints, reference.stamps_ns[inside]), :size, :size]
+    is_covered = _is_covered(path, reference)
+    S = covariances[np.searchsorted(midpoints, reference.stamps_ns[is_covered]), :size, :size]
     if reference.covariances is not None:
-        S = S + usable_covariances(reference.covariances[inside, :size, :size])
+        S = S + usable_covariances(reference.covariances[is_covered, :size, :size])
     deviations, C, regular = _correlations(S)
     scaled = errors / deviations
-    weighed = np.linalg.solve(C, scaled[:, :, np.newaxis])[:, :, 0]
+    solved = np.linalg.solve(C, scaled[:, :, np.newaxis])[:, :, 0]
     log_dets = np.linalg.slogdet(C)[1] + 2.0 * np.log(deviations).sum(axis=1)
-    return np.where(regular, np.sum(scaled * weighed, axis=1), np.nan), np.where(regular, log_dets, np.nan)
+    return np.where(regular, np.sum(scaled * solved, axis=1), np.nan), np.where(regular, log_dets, np.nan)
 
 
 def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -85,14 +85,16 @@ def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     1 and the identity where S is singular.
     """
     variances = np.diagonal(S, axis1=1, axis2=2)
-    regular: BoolArray = np.asarray(np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_)
-    deviations = np.sqrt(np.where(regular[:, np.newaxis], variances, 1.0))
-    one = np.eye(S.shape[-1])
-    C = np.where(regular[:, np.newaxis, np.newaxis], S, one)
+    is_regular: BoolArray = np.asarray(
+        np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_
+    )
+    deviations = np.sqrt(np.where(is_regular[:, np.newaxis], variances, 1.0))
+    identity = np.eye(S.shape[-1])
+    C = np.where(is_regular[:, np.newaxis, np.newaxis], S, identity)
     C = C / deviations[:, :, np.newaxis] / deviations[:, np.newaxis, :]
-    regular &= np.linalg.eigvalsh(C)[:, 0] > _SINGULAR_EIGENVALUE
-    C = np.where(regular[:, np.newaxis, np.newaxis], C, one)
-    return np.where(regular[:, np.newaxis], deviations, 1.0), C, regular
+    is_regular &= np.linalg.eigvalsh(C)[:, 0] > _SINGULAR_EIGENVALUE
+    C = np.where(is_regular[:, np.newaxis, np.newaxis], C, identity)
+    return np.where(is_regular[:, np.newaxis], deviations, 1.0), C, is_regular
 
 
 def usable_covariances(R: FloatArray) -> FloatArray:
@@ -111,24 +113,24 @@ def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
     is r ω = v/(1 − i); if the truth gives a stopped track the slip 0, the track counts as rolling with its
     frame. ``odometry`` is the truth at the same stamps.
     """
-    _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
-    v_x, turning = odometry["v_x"][of], odometry["yaw_rate"][of] * tread / 2.0
-    moving = np.abs(v_x) + np.abs(turning) > MIN_MOVING_SPEED
-    rows = slips.rows[at[moving]]
-    for side, ground in (("left_slip", v_x - turning), ("right_slip", v_x + turning)):
-        runs = np.abs(ground[moving]) > MIN_MOVING_SPEED * np.abs(1.0 - rows[side])
-        rows[side][~runs] = np.nan
+    _, of_slips, of_odometry = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
+    v_x, turning_speed = odometry["v_x"][of_odometry], odometry["yaw_rate"][of_odometry] * tread / 2.0
+    is_moving = np.abs(v_x) + np.abs(turning_speed) > MIN_MOVING_SPEED
+    rows = slips.rows[of_slips[is_moving]]
+    for side, ground_speed in (("left_slip", v_x - turning_speed), ("right_slip", v_x + turning_speed)):
+        is_rolling = np.abs(ground_speed[is_moving]) > MIN_MOVING_SPEED * np.abs(1.0 - rows[side])
+        rows[side][~is_rolling] = np.nan
     return Series(rows)
 
 
 def slip_errors(estimated: Series, true: Series) -> FloatArray:
     """(k,) errors of left and right slip, at the samples that the estimate covers, without nan truths."""
-    own = estimated.stamps_ns
-    inside = (true.stamps_ns >= own[0]) & (true.stamps_ns <= own[-1])
-    t, requested = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
+    stamps_ns = estimated.stamps_ns
+    is_covered = (true.stamps_ns >= stamps_ns[0]) & (true.stamps_ns <= stamps_ns[-1])
+    t, requested = (stamps_ns - stamps_ns[0]) * 1e-9, (true.stamps_ns[is_covered] - stamps_ns[0]) * 1e-9
     errors = np.concatenate(
         [
-            np.interp(requested, t, estimated[side]) - true[side][inside]
+            np.interp(requested, t, estimated[side]) - true[side][is_covered]
             for side in ("left_slip", "right_slip")
         ]
     )
@@ -137,17 +139,17 @@ def slip_errors(estimated: Series, true: Series) -> FloatArray:
 
 
 def _is_covered(path: Path, reference: Path) -> BoolArray:
-    inside: BoolArray = (reference.stamps_ns >= path.stamps_ns[0]) & (
+    is_covered: BoolArray = (reference.stamps_ns >= path.stamps_ns[0]) & (
         reference.stamps_ns <= path.stamps_ns[-1]
     )
-    return inside
+    return is_covered
 
 
 def errors_of(path: Path, reference: Path) -> FloatArray:
     """(k, 3) errors at the samples of the reference that the path covers, heading in (−π, π]."""
-    inside = _is_covered(path, reference)
-    stamps_ns = reference.stamps_ns[inside]
-    errors: FloatArray = path.poses_at(stamps_ns) - reference.poses[inside]
+    is_covered = _is_covered(path, reference)
+    stamps_ns = reference.stamps_ns[is_covered]
+    errors: FloatArray = path.poses_at(stamps_ns) - reference.poses[is_covered]
     errors[:, 2] = wrap_angles(errors[:, 2])
     return errors
 

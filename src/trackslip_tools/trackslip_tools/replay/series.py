@@ -66,8 +66,8 @@ class SeriesCollector:
 
     def add(self, topic: str, rows: Rows) -> None:
         """Add rows of a topic, records of a class of ``message_fields``."""
-        found = reduce_columns(rows, detailed=topic in self._detailed)
-        self._parts.setdefault(topic, GrowingRows(found.dtype, self._most)).add(found)
+        reduced = reduce_columns(rows, detailed=topic in self._detailed)
+        self._parts.setdefault(topic, GrowingRows(reduced.dtype, self._most)).add(reduced)
 
     def series(self) -> dict[str, Series]:
         """Topic → series by stamp; of several rows with one stamp the last."""
@@ -88,13 +88,13 @@ def reduce_columns(rows: Rows, *, detailed: bool = False) -> Rows:
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:
         return rows
-    requested = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
-    requested += [name for name in _COVARIANCES if detailed and name in names]
+    needed = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
+    needed += [name for name in _COVARIANCES if detailed and name in names]
     heading = [("heading", np.float64)] if "qx" in names else []
-    found = np.empty(len(rows), [(name, rows.dtype[name]) for name in requested] + heading)
-    for name in requested:
-        found[name] = rows[name]
+    reduced = np.empty(len(rows), [(name, rows.dtype[name]) for name in needed] + heading)
+    for name in needed:
+        reduced[name] = rows[name]
     if heading:
-        found["heading"] = headings_of(rows)
-        found["heading"][rows["covariance"][:, 2, 2] > UNKNOWN_HEADING**2] = np.nan
-    return found
+        reduced["heading"] = headings_of(rows)
+        reduced["heading"][rows["covariance"][:, 2, 2] > UNKNOWN_HEADING**2] = np.nan
+    return reduced

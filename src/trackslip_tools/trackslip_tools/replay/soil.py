@@ -107,7 +107,7 @@ class SoilRun:
     def result(self, comparability: Comparability) -> SoilReplay:
         """Outputs of the whole bag; compared with live ones only where the slips can be compared."""
         self._process_inputs(self._waiting)
-        found = SoilReplay(
+        result = SoilReplay(
             self._estimator.parameters,
             self._forces.rows(),
             self._states,
@@ -116,22 +116,22 @@ class SoilRun:
             self._series.series(),
             self._classes,
         )
-        compares, until_ns = comparability.comparable_start()
-        if found.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs and compares:
-            found.live = _compare_with_live(found, _END_NS if until_ns is None else until_ns)
-        return found
+        can_compare, until_ns = comparability.comparable_start()
+        if result.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs and can_compare:
+            result.live = _compare_with_live(result, _END_NS if until_ns is None else until_ns)
+        return result
 
     def _queue_readings(self, logged: LoggedMessages) -> None:
         """Queue the readings of hydraulics that are not withheld."""
         t = np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)
-        hidden = np.zeros(len(logged.rows), np.bool_)
+        is_hidden = np.zeros(len(logged.rows), np.bool_)
         for k, withhold in enumerate(self._filters.withhold):
             if withhold.topic == HYDRAULICS:
-                hides = withhold.covers(t)
-                self.hidden[k] += int(hides.sum())
-                hidden |= hides
-        self._waiting = np.concatenate((self._waiting, _reading_inputs(logged.rows[~hidden])))
-        self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
+                is_withheld = withhold.covers(t)
+                self.hidden[k] += int(is_withheld.sum())
+                is_hidden |= is_withheld
+        self._waiting = np.concatenate((self._waiting, _reading_inputs(logged.rows[~is_hidden])))
+        self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~is_hidden]))
 
     def _advance(self, estimates: Rows, logged_ns: IntArray) -> None:
         """Feed both in live order: a reading precedes the first estimate published after it."""
@@ -139,12 +139,12 @@ class SoilRun:
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
         ready = int(np.searchsorted(before, len(estimates)))
-        given = np.insert(inputs_from_estimates(estimates), before[:ready], self._waiting[:ready])
+        inputs = np.insert(inputs_from_estimates(estimates), before[:ready], self._waiting[:ready])
         self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
-        self._process_inputs(given)
+        self._process_inputs(inputs)
 
-    def _process_inputs(self, given: Rows) -> None:
-        for outputs in self._estimator.advance_all(given):
+    def _process_inputs(self, inputs: Rows) -> None:
+        for outputs in self._estimator.advance_all(inputs):
             self._forces.add(outputs.forces)
             self._states += outputs.states
             self._seeds += outputs.seeds
@@ -152,11 +152,11 @@ class SoilRun:
 
 def _reading_inputs(rows: Rows) -> Rows:
     """(n,) SOIL_INPUT of (n,) records of ``HydraulicsFields``."""
-    found = np.zeros(len(rows), SOIL_INPUT)
-    found["source"], found["stamp_ns"] = IS_HYDRAULICS, rows["stamp_ns"]
+    inputs = np.zeros(len(rows), SOIL_INPUT)
+    inputs["source"], inputs["stamp_ns"] = IS_HYDRAULICS, rows["stamp_ns"]
     for k, side in enumerate(("left", "right")):
-        found["pressures"][:, k], found["spools"][:, k] = rows[f"{side}_pressure"], rows[f"{side}_spool"]
-    return found
+        inputs["pressures"][:, k], inputs["spools"][:, k] = rows[f"{side}_pressure"], rows[f"{side}_spool"]
+    return inputs
 
 
 def _class_probabilities(table: TopicTable) -> dict[int, FloatArray]:
@@ -169,23 +169,29 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
     """Compare every live number with the replayed one; per topic, between first and last common stamps."""
     compared = unmatched = 0
     largest = 0.0
-    for topic, own in ((FORCES, _force_rows(result.forces)), (SOIL, _soil_rows(result))):
+    for topic, replayed in ((FORCES, _force_rows(result.forces)), (SOIL, _soil_rows(result))):
         live = result.series.get(topic)
-        if live is None or not len(live) or not len(own):
+        if live is None or not len(live) or not len(replayed):
             continue
-        first = max(live.stamps_ns[0], own["stamp_ns"][0])
-        last = min(live.stamps_ns[-1], own["stamp_ns"][-1], until_ns)
-        theirs, mine = (_rows_between_stamps(rows, first, last) for rows in (live.rows, own))
-        _, in_theirs, in_mine = np.intersect1d(theirs["stamp_ns"], mine["stamp_ns"], return_indices=True)
-        unmatched += len(theirs) + len(mine) - 2 * len(in_mine)
-        compared += len(theirs)
-        for name in own.dtype.names or ():
-            largest = max(largest, _relative_difference(theirs[name][in_theirs], mine[name][in_mine]))
-    own_classes = {
+        first = max(live.stamps_ns[0], replayed["stamp_ns"][0])
+        last = min(live.stamps_ns[-1], replayed["stamp_ns"][-1], until_ns)
+        live_rows, replayed_rows = (_rows_between_stamps(rows, first, last) for rows in (live.rows, replayed))
+        _, in_live, in_replayed = np.intersect1d(
+            live_rows["stamp_ns"], replayed_rows["stamp_ns"], return_indices=True
+        )
+        unmatched += len(live_rows) + len(replayed_rows) - 2 * len(in_replayed)
+        compared += len(live_rows)
+        for name in replayed.dtype.names or ():
+            largest = max(
+                largest, _relative_difference(live_rows[name][in_live], replayed_rows[name][in_replayed])
+            )
+    replayed_classes = {
         s.stamp_ns: np.array(list(s.classes.values())) for s in result.states if s.stamp_ns <= until_ns
     }
-    for stamp_ns in own_classes.keys() & result.live_classes.keys():
-        largest = max(largest, _relative_difference(result.live_classes[stamp_ns], own_classes[stamp_ns]))
+    for stamp_ns in replayed_classes.keys() & result.live_classes.keys():
+        largest = max(
+            largest, _relative_difference(result.live_classes[stamp_ns], replayed_classes[stamp_ns])
+        )
     return SoilComparison(compared, unmatched, largest)
 
 

@@ -30,16 +30,16 @@ def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
     if not result.states:
         return None
     last = result.states[-1]
-    found = last.strength
+    strength = last.strength
     content: dict[str, Any] = {
         "mu_r": last.mu_r,
         "mu_l": last.mu_l,
-        "K": found.shear_modulus,
-        "K_interval": found.shear_modulus_interval,
-        "F_max": found.thrust_limit,
-        "F_max_interval": found.thrust_limit_interval,
-        "identifiable": found.identifiable,
-        "reason": found.reason,
+        "K": strength.shear_modulus,
+        "K_interval": strength.shear_modulus_interval,
+        "F_max": strength.thrust_limit,
+        "F_max_interval": strength.thrust_limit_interval,
+        "identifiable": strength.identifiable,
+        "reason": strength.reason,
         "classes": last.classes,
         "rejected": result.rejected.by_source(),
     }
@@ -61,20 +61,20 @@ def soil_lines(result: SoilReplay) -> list[str]:
     if not result.states:
         return lines
     last = result.states[-1]
-    found = last.strength
-    (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
+    strength = last.strength
+    (k_low, k_high), (f_low, f_high) = strength.shear_modulus_interval, strength.thrust_limit_interval
     mu_r = f"μ_r {last.mu_r:.3f} ± {last.mu_r_variance**0.5:.3f}"
     mu_l = f"mobilised μ_l {last.mu_l:.3f} ± {last.mu_l_variance**0.5:.3f}"
-    modulus = f"K {100 * found.shear_modulus:.2f} cm ({100 * k_low:.2f} to {100 * k_high:.2f})"
-    limit = f"F_max {found.thrust_limit:.0f} N ({f_low:.0f} to {f_high:.0f})"
+    modulus = f"K {100 * strength.shear_modulus:.2f} cm ({100 * k_low:.2f} to {100 * k_high:.2f})"
+    limit = f"F_max {strength.thrust_limit:.0f} N ({f_low:.0f} to {f_high:.0f})"
     lines += [f"soil   {mu_r}  {mu_l}", f"  {modulus}  {limit}"]
-    if not found.identifiable:
-        lines.append(f"  not identifiable: {found.reason}")
+    if not strength.identifiable:
+        lines.append(f"  not identifiable: {strength.reason}")
     likely = sorted(last.classes.items(), key=lambda item: -item[1])[:3]
     if likely:
         lines += (
             []
-            if is_certain(likely[0][1], found.identifiable)
+            if is_certain(likely[0][1], strength.identifiable)
             else ["  the class is undetermined; likeliest:"]
         )
         lines.append("  " + "  ".join(f"{name} {100 * p:.0f} %" for name, p in likely))

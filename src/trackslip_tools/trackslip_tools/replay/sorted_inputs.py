@@ -40,15 +40,15 @@ def read_sorted_inputs(
         InputError: as ``InputStream``; or the clock of the sprockets goes back by more than the window.
     """
     stream, numbers = InputStream(bag, p, filters, series), SlipEstimator(p).sources
-    collector, found = SeriesCollector(detailed), GrowingRows(MEASUREMENT)
+    collector, growing = SeriesCollector(detailed), GrowingRows(MEASUREMENT)
     clock = _ClockCheck(bag, p.history_window)
     for batch in stream:
         clock.check(batch.rows)
         measured = batch.rows[batch.rows["kind"] < IS_COMMAND]
-        found.add(to_measurements(measured, stream.sources, numbers))
+        growing.add(to_measurements(measured, stream.sources, numbers))
         for topic, logged in batch.tables.items():
             collector.add(topic, logged.rows)
-    measurements = found.rows()
+    measurements = growing.rows()
     _reorder(measurements, stamp_order(measurements))
     return SortedInputs(measurements, collector.series())
 

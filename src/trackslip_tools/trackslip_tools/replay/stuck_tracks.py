@@ -32,8 +32,8 @@ def stuck_track_lines(forces: Rows, start_ns: int) -> list[str]:
     return [
         f"{side} track {TROUBLE_TEXTS[TrackCondition(state)]} for {stop - start:.1f} s, "
         f"from {start:.1f} to {stop:.1f} s"
-        for side, own in stuck_track_intervals((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
-        for start, stop, state, _ in own
+        for side, intervals in stuck_track_intervals((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
+        for start, stop, state, _ in intervals
         if stop - start >= _LEAST_S
     ]
 

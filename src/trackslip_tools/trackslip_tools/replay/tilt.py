@@ -27,17 +27,17 @@ class TiltErrors:
         pairs = self._pairs.add(rows, truth)
         if pairs is None:
             return
-        found, true = pairs
-        expected = (*tilts_of(true).T, true["z"])
+        estimated, truth_rows = pairs
+        expected = (*tilts_of(truth_rows).T, truth_rows["z"])
         errors = np.column_stack(
             [
-                found["tilt"][:, k] - np.interp(found["stamp_ns"], true["stamp_ns"], values)
+                estimated["tilt"][:, k] - np.interp(estimated["stamp_ns"], truth_rows["stamp_ns"], values)
                 for k, values in enumerate(expected)
             ]
         )
         self._tilt += float(np.sum(errors[:, :2] ** 2)) / 2.0
         self._height += float(np.sum(errors[:, 2] ** 2))
-        self._count += len(found)
+        self._count += len(estimated)
 
     @property
     def attitude(self) -> float | None:
@@ -65,10 +65,10 @@ class SwingErrors:
         pairs = self._pairs.add(rows, truth)
         if pairs is None:
             return
-        found, true = pairs
-        expected = np.interp(found["stamp_ns"], true["stamp_ns"], np.unwrap(true["angle"]))
-        errors = wrap_angles(found["angle"] - expected)
-        self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(found)
+        estimated, truth_rows = pairs
+        expected = np.interp(estimated["stamp_ns"], truth_rows["stamp_ns"], np.unwrap(truth_rows["angle"]))
+        errors = wrap_angles(estimated["angle"] - expected)
+        self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(estimated)
 
     @property
     def rmse(self) -> float | None:

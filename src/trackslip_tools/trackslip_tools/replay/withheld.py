@@ -51,19 +51,19 @@ class WithheldErrors:
 
     def add(self, estimates: Rows, reference: LoggedMessages | None) -> None:
         """Add (n,) ESTIMATE and rows of the reference."""
-        for given, errors in zip(self._withholds, self._errors, strict=True):
-            inside = (
+        for withhold, errors in zip(self._withholds, self._errors, strict=True):
+            rows = (
                 None
                 if reference is None
-                else reduce_columns(reference.rows[given.covers(self._times(reference))])
+                else reduce_columns(reference.rows[withhold.covers(self._times(reference))])
             )
-            errors.add_estimates(estimates, inside)
+            errors.add_estimates(estimates, rows)
 
     def result(self, counts: Sequence[int]) -> list[WithholdResult]:
         """Results after the last part; ``counts``: messages hidden by each ``--withhold``."""
         return [
-            WithholdResult(given, count, errors.score, errors.last_position)
-            for given, errors, count in zip(self._withholds, self._errors, counts, strict=True)
+            WithholdResult(withhold, count, errors.score, errors.last_position)
+            for withhold, errors, count in zip(self._withholds, self._errors, counts, strict=True)
         ]
 
     def _times(self, logged: LoggedMessages) -> FloatArray:

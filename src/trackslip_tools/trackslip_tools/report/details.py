@@ -46,40 +46,39 @@ class Details:
         self._estimates = GrowingRows(ESTIMATE, MOST_DRAWN)
         self._reports, self._fixes = GrowingRows(REPORT), GrowingRows(FIX)
         self._recent = np.empty(0, ESTIMATE)
-        self.explained: list[
-            CompetingExplanations
-        ] = []  # competing explanations at a time, and the first without after them
+        # Records with competing explanations, and after each series of them the first without.
+        self.explanations: list[CompetingExplanations] = []
 
     def add(self, part: Part) -> None:
         """Add a part."""
         self.sources = part.sources
-        self.add_explained(part.explained)
+        self.add_explanations(part.explanations)
         results = part.results
-        found = np.zeros(len(results), FIX)
+        rows = np.zeros(len(results), FIX)
         for name in ("stamp_ns", "outcome", "dof", "nis", "gate"):
-            found[name] = results[name]
+            rows[name] = results[name]
         for name in ("source", "value", "noise"):
-            found[name] = part.arrivals[name]
+            rows[name] = part.arrivals[name]
         estimates = part.estimates
         self._estimates.add(estimates)
-        self._reports.add(found[(found["dof"] > 0) & np.isfinite(found["nis"])])
+        self._reports.add(rows[(rows["dof"] > 0) & np.isfinite(rows["nis"])])
         is_pose = part.arrivals["kind"] == POSE
         published = np.cumsum(results["published"]) - results["published"]
-        fixes = found[is_pose]
+        fixes = rows[is_pose]
         if len(estimates) and len(self._recent) and self._recent["stamp_ns"][-1] >= estimates["stamp_ns"][0]:
             self._recent = self._recent[:0]  # clock went back
-        known = np.concatenate((self._recent, estimates))
-        _fill_expected_poses(fixes, known, len(self._recent) + published[is_pose])
+        recent = np.concatenate((self._recent, estimates))
+        _fill_expected_poses(fixes, recent, len(self._recent) + published[is_pose])
         self._fixes.add(fixes)
-        if len(known):
-            oldest_ns = known["stamp_ns"][-1] - _RECENT_NS
-            self._recent = known[np.searchsorted(known["stamp_ns"], oldest_ns) :]
+        if len(recent):
+            oldest_ns = recent["stamp_ns"][-1] - _RECENT_NS
+            self._recent = recent[np.searchsorted(recent["stamp_ns"], oldest_ns) :]
 
-    def add_explained(self, explained: Iterable[CompetingExplanations]) -> None:
+    def add_explanations(self, explanations: Iterable[CompetingExplanations]) -> None:
         """Add explanations."""
-        for one in explained:
-            if one.number_competing or (self.explained and self.explained[-1].number_competing):
-                self.explained.append(one)
+        for competing in explanations:
+            if competing.number_competing or (self.explanations and self.explanations[-1].number_competing):
+                self.explanations.append(competing)
 
     @property
     def estimates(self) -> Rows:
@@ -102,12 +101,14 @@ def _fill_expected_poses(fixes: Rows, estimates: Rows, published: IntArray) -> N
     before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
     before = np.minimum(before, published) - 1
     fixes["expected"] = before >= 0
-    known = fixes["expected"]
-    first = estimates[before[known]]
-    last = estimates[np.minimum(before[known] + 1, published[known] - 1)]
+    has_pose = fixes["expected"]
+    first = estimates[before[has_pose]]
+    last = estimates[np.minimum(before[has_pose] + 1, published[has_pose] - 1)]
     span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
-    share = (fixes["stamp_ns"][known] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
+    share = (
+        (fixes["stamp_ns"][has_pose] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
+    )
     step = last["pose"] - first["pose"]
     step[:, YAW] = wrap_angles(step[:, YAW])
-    fixes["pose"][known] = first["pose"] + share[:, np.newaxis] * step
-    fixes["pose_covariance"][known] = first["pose_covariance"]
+    fixes["pose"][has_pose] = first["pose"] + share[:, np.newaxis] * step
+    fixes["pose_covariance"][has_pose] = first["pose_covariance"]

@@ -40,7 +40,7 @@ class Events:
     """Finds events; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self.kept: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self.recent: deque[Event] = deque(maxlen=MAX_EVENTS)
         self.count = 0  # all events since the start
         self._conditions: dict[str, tuple[Level, str]] = {}  # name of a status → its level and message
         self._shown_s: dict[tuple[Level, str], float] = {}
@@ -54,7 +54,7 @@ class Events:
         key = (level, mask_numbers(text))
         if now_s - self._shown_s.get(key, -_REPEAT_S) >= _REPEAT_S:
             self.count += 1
-            self.kept.append(Event(self.count, time_ms, level, printable(text)))
+            self.recent.append(Event(self.count, time_ms, level, printable(text)))
         self._shown_s = {k: s for k, s in self._shown_s.items() if now_s - s < _REPEAT_S} | {key: now_s}
 
     def add_light_changes(self, lights: Iterable[Light], now_s: float, time_ms: float) -> None:
@@ -94,9 +94,9 @@ class Events:
             count = int(text)
             if source not in self._gated and len(self._gated) >= _MOST_VALUES:
                 return
-            news = count - self._gated.get(source, count)
+            new_rejections = count - self._gated.get(source, count)
             self._gated[source] = count
-            if news > 0:
+            if new_rejections > 0:
                 if now_s - self._rejected_s.get(source, -_CLEAR_S) >= _CLEAR_S:
                     self.add(Level.WARN, f"gate rejects {source}", now_s, time_ms)
                 self._rejected_s[source] = now_s
@@ -147,7 +147,7 @@ class LightLog:
     @property
     def events(self) -> list[Event]:
         """The last ``MAX_EVENTS`` events, without those of the estimators' own diagnostics."""
-        return list(self._events.kept)
+        return list(self._events.recent)
 
     def _record_lights(self, now_s: float) -> None:
         lights = self._lights.lights_at(now_s)
@@ -156,11 +156,11 @@ class LightLog:
         for light in lights:
             self._record_light(self._intervals.setdefault(light.name, []), light, now_s)
 
-    def _record_light(self, known: list[StateInterval], light: Light, now_s: float) -> None:
-        if known and known[-1].stop >= self._last_s:  # the name was present without interruption
-            last = known[-1] = known[-1]._replace(stop=now_s)
+    def _record_light(self, intervals: list[StateInterval], light: Light, now_s: float) -> None:
+        if intervals and intervals[-1].stop >= self._last_s:  # the name was present without interruption
+            last = intervals[-1] = intervals[-1]._replace(stop=now_s)
             is_same = last.state == light.level and is_same_text(last.text, light.message)
         else:
             is_same = False
         if not is_same:
-            known.append(StateInterval(now_s, now_s, int(light.level), light.message))
+            intervals.append(StateInterval(now_s, now_s, int(light.level), light.message))

@@ -16,40 +16,40 @@ from trackslip_tools.report.run import Run, first_runs_of_bags
 def ground_panels(runs: Sequence[Run]) -> list[Panel]:
     """The panels for which there are numbers."""
     panels = []
-    for shape in FIELD_PANELS:
-        curves = [*_curves(runs, shape)]
+    for panel in FIELD_PANELS:
+        curves = [*_curves(runs, panel)]
         if curves:
             panels.append(
-                Panel(shape.title, shape.axis, [*_true_curves(runs, shape), *curves], limits=(0.0,))
+                Panel(panel.title, panel.axis, [*_true_curves(runs, panel), *curves], limits=(0.0,))
             )
     return [*panels, *_class_panels(runs)]
 
 
-def _curves(runs: Sequence[Run], shape: FieldPanel) -> Iterator[Curve]:
-    for run in (run for run in runs if shape.topic in run.numbers):
-        for shown in shape.fields:
-            label = shown.label if len(runs) == 1 else f"{run.label}, {shown.label}"
-            colour = curve_colour(runs, run, shown.colour)
-            form = shown.form if len(runs) > 1 else Form.LINE
-            yield _curve(run.numbers[shape.topic], shown, shape.scale, label, colour, form)
+def _curves(runs: Sequence[Run], panel: FieldPanel) -> Iterator[Curve]:
+    for run in (run for run in runs if panel.topic in run.numbers):
+        for field in panel.fields:
+            label = field.label if len(runs) == 1 else f"{run.label}, {field.label}"
+            colour = curve_colour(runs, run, field.colour)
+            form = field.form if len(runs) > 1 else Form.LINE
+            yield _curve(run.numbers[panel.topic], field, panel.scale, label, colour, form)
 
 
-def _curve(numbers: Numbers, shown: FieldCurve, scale: float, label: str, colour: str, form: Form) -> Curve:
-    values, band = shown.values_with_band(
+def _curve(numbers: Numbers, field: FieldCurve, scale: float, label: str, colour: str, form: Form) -> Curve:
+    values, band = field.values_with_band(
         {name: numbers.rows[name] for name in numbers.rows.dtype.names or ()}, scale
     )
     return Curve(label, colour, numbers.times, values, form, band)
 
 
-def _true_curves(runs: Sequence[Run], shape: FieldPanel) -> Iterator[Curve]:
+def _true_curves(runs: Sequence[Run], panel: FieldPanel) -> Iterator[Curve]:
     """The true curve of each bag."""
-    bags = [run for run in first_runs_of_bags(runs) if shape.truth in run.numbers]
+    bags = [run for run in first_runs_of_bags(runs) if panel.truth in run.numbers]
     for run in bags:
-        numbers = run.numbers[shape.truth]
+        numbers = run.numbers[panel.truth]
         colour = INK if len(bags) == 1 else curve_colour(runs, run, INK)
-        for shown in shape.fields:
-            label = f"true {shown.label}" if len(bags) == 1 else f"{run.label}, true {shown.label}"
-            yield Curve(label, colour, numbers.times, shape.scale * numbers.rows[shown.field], Form.DOTTED)
+        for field in panel.fields:
+            label = f"true {field.label}" if len(bags) == 1 else f"{run.label}, true {field.label}"
+            yield Curve(label, colour, numbers.times, panel.scale * numbers.rows[field.field], Form.DOTTED)
 
 
 def _class_panels(runs: Sequence[Run]) -> list[Panel]:

@@ -58,13 +58,17 @@ def facts_of(
     travel = travel_of(run)
     straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
     standing = travel.seconds[Motion.STANDING]
-    is_known = run.states is not None
-    drove = f"{straight:.0f} s straight, {turning:.0f} s turning"
+    has_estimates = run.states is not None
+    durations = f"{straight:.0f} s straight, {turning:.0f} s turning"
     return [
         _verdict_fact(checks),
-        Fact("Distance", f"{travel.distance:.1f} m" if is_known else _NO_VALUE),
-        Fact("Driving", f"{straight + turning:.0f} s" if is_known else _NO_VALUE, drove if is_known else ""),
-        Fact("Standing", f"{standing:.0f} s" if is_known else _NO_VALUE),
+        Fact("Distance", f"{travel.distance:.1f} m" if has_estimates else _NO_VALUE),
+        Fact(
+            "Driving",
+            f"{straight + turning:.0f} s" if has_estimates else _NO_VALUE,
+            durations if has_estimates else "",
+        ),
+        Fact("Standing", f"{standing:.0f} s" if has_estimates else _NO_VALUE),
         _largest_slip_fact(run, limits),
         _stuck_tracks_fact(run),
         _soil_fact(run),
@@ -74,8 +78,8 @@ def facts_of(
 
 def _verdict_fact(checks: Mapping[str, Verdict]) -> Fact:
     bad = [name for name, check in checks.items() if check.state is State.ATTENTION]
-    made = sum(check.state is not State.UNKNOWN for check in checks.values())
-    value = f"{made - len(bad)} of {made} checks ok"
+    count = sum(check.state is not State.UNKNOWN for check in checks.values())
+    value = f"{count - len(bad)} of {count} checks ok"
     if not bad:
         return Fact("Verdict", value, "", State.OK)
     return Fact("Verdict", value, f"look at: {', '.join(bad)}", State.ATTENTION)
@@ -88,19 +92,19 @@ def _largest_slip_fact(run: Run, limits: VerdictLimits) -> Fact:
         return Fact(name, _NO_VALUE)
     states = run.states
     sigmas = np.sqrt(np.diagonal(states.slip_covariances, axis1=1, axis2=2)[:, :2])
-    known = states.is_moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
-    if not known.any():
+    is_known = states.is_moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
+    if not is_known.any():
         return Fact(name, _NO_VALUE, f"never known to {PERCENT * limits.slip_stddev:g} %")
     times = run.recording.seconds(states.path.stamps_ns)
     slips = np.column_stack(
-        [persistent_slips(times, np.where(known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
+        [persistent_slips(times, np.where(is_known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
     )
     if not np.isfinite(slips).any():
         return Fact(
             name, _NO_VALUE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LEAST_TIME_S:g} s"
         )
-    size = np.where(np.isfinite(slips), np.abs(slips), -1.0)
-    k, side = np.unravel_index(np.argmax(size), size.shape)
+    sizes = np.where(np.isfinite(slips), np.abs(slips), -1.0)
+    k, side = np.unravel_index(np.argmax(sizes), sizes.shape)
     at_s = times[k]
     spread = 2.0 * PERCENT * sigmas[k, side]
     return Fact(
@@ -116,16 +120,16 @@ def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
     size = round(_LEAST_TIME_S / period) | 1 if period > 0.0 else 1
     if size >= len(slips):
         size = 1
-    middles = np.median(np.lib.stride_tricks.sliding_window_view(slips, size), axis=1)
-    rim = np.full(size // 2, np.nan)
-    return np.concatenate((rim, middles, rim))
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(slips, size), axis=1)
+    edge = np.full(size // 2, np.nan)
+    return np.concatenate((edge, medians, edge))
 
 
 def _stuck_tracks_fact(run: Run) -> Fact:
-    name, found = "Stalled or stuck", stuck_track_intervals(run)
-    if not found:
+    name, intervals = "Stalled or stuck", stuck_track_intervals(run)
+    if not intervals:
         return Fact(name, _NO_VALUE, "no hydraulics in the bag")
-    troubles = stuck_tracks_text(found)
+    troubles = stuck_tracks_text(intervals)
     return Fact(name, "yes", troubles, State.ATTENTION) if troubles else Fact(name, "no", "", State.OK)
 
 
@@ -139,10 +143,10 @@ def _soil_fact(run: Run) -> Fact:
     if not chances:
         return Fact("Soil", "not classified", note)
     likely = max(chances, key=lambda name: chances[name])
-    found = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
+    soil = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
     if chances[likely] < CERTAIN:
-        return Fact("Soil", "undetermined", f"likeliest: {found}; {note}")
-    return Fact("Soil", found, note)
+        return Fact("Soil", "undetermined", f"likeliest: {soil}; {note}")
+    return Fact("Soil", soil, note)
 
 
 def _events_fact(events: Sequence[Event]) -> Fact:

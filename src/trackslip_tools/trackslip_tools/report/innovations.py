@@ -65,25 +65,25 @@ def innovations_of(run: Run) -> dict[str, Innovations]:
     }
     return {
         source: Innovations(
-            run.recording.seconds(own["stamp_ns"]),
-            own["nis"],
-            own["gate"],
-            own["dof"].astype(np.float64),
-            own["outcome"] == Outcome.GATED,
+            run.recording.seconds(rows["stamp_ns"]),
+            rows["nis"],
+            rows["gate"],
+            rows["dof"].astype(np.float64),
+            rows["outcome"] == Outcome.GATED,
         )
-        for source, own in sorted(by_source.items())
+        for source, rows in sorted(by_source.items())
     }
 
 
 def innovation_panels(runs: Sequence[Run]) -> list[Panel]:
     """NIS of each source; for a single run also the whitened differences of its fixes."""
-    found = [(run, innovations_of(run)) for run in runs]
+    by_run = [(run, innovations_of(run)) for run in runs]
     panels = []
-    for source in sorted({source for _, by_source in found for source in by_source}):
-        own = [(run, by_source[source]) for run, by_source in found if source in by_source]
-        curves = [*_nis_curves(own[0][1])] if len(runs) == 1 else []
-        curves.append(_expected_band(own[0][1]))
-        for run, innovations in own:
+    for source in sorted({source for _, by_source in by_run for source in by_source}):
+        of_source = [(run, by_source[source]) for run, by_source in by_run if source in by_source]
+        curves = [*_nis_curves(of_source[0][1])] if len(runs) == 1 else []
+        curves.append(_expected_band(of_source[0][1]))
+        for run, innovations in of_source:
             label = f"mean of {WINDOW}" if len(runs) == 1 else run.label
             curves.append(_moving_mean(innovations, label, curve_colour(runs, run, INK)))
         title = f"{source}: squared innovations over what is expected"
@@ -97,13 +97,13 @@ def _nis_curves(innovations: Innovations) -> Iterator[Curve]:
     order = np.argsort(innovations.times, kind="stable")
     gate = (innovations.gates / innovations.freedoms)[order]
     yield Curve("gate", ORANGE, innovations.times[order], gate, Form.DASHED)
-    for label, chosen, form in (
+    for label, selected, form in (
         ("accepted", ~innovations.gated, Form.POINTS),
         ("rejected", innovations.gated, Form.CROSSES),
     ):
-        if chosen.any():
+        if selected.any():
             colour = ORANGE if form is Form.CROSSES else BLUE
-            yield Curve(label, colour, innovations.times[chosen], ratio[chosen], form)
+            yield Curve(label, colour, innovations.times[selected], ratio[selected], form)
 
 
 def _expected_band(innovations: Innovations) -> Curve:
@@ -147,13 +147,16 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
     fixes = run.details.fixes
     rejected = [outcome for outcome in Outcome if outcome.is_rejected]
     compared = fixes["expected"] & ~np.isin(fixes["outcome"], rejected)
-    found = {}
-    for source, stated in run.parameters.poses().items():
+    whitened = {}
+    for source, parameters in run.parameters.poses().items():
         numbers = [k for k, name in enumerate(run.details.sources) if name == source]
-        own = fixes[compared & np.isin(fixes["source"], numbers)]
-        if len(own):
-            found[source] = run.recording.seconds(own["stamp_ns"]), _whiten_differences(own, stated)
-    return found
+        of_source = fixes[compared & np.isin(fixes["source"], numbers)]
+        if len(of_source):
+            whitened[source] = (
+                run.recording.seconds(of_source["stamp_ns"]),
+                _whiten_differences(of_source, parameters),
+            )
+    return whitened
 
 
 def _whiten_differences(fixes: Rows, source: PoseSource) -> FloatArray:
@@ -165,11 +168,11 @@ def _whiten_differences(fixes: Rows, source: PoseSource) -> FloatArray:
     R[:, diagonal, diagonal] = np.maximum(R[:, diagonal, diagonal], floors**2)
     d = fixes["value"] - pose
     d[:, YAW] = wrap_angles(d[:, YAW])
-    headed = source.use_heading & (fixes["noise"][:, YAW, YAW] <= source.heading_ceiling**2)
+    has_heading = source.use_heading & (fixes["noise"][:, YAW, YAW] <= source.heading_ceiling**2)
     w = np.full((len(fixes), 3), np.nan)
-    for rows, chosen in ((3, headed), (2, ~headed)):
-        L = np.linalg.cholesky((P + R)[chosen, :rows, :rows])
-        w[chosen, :rows] = np.linalg.solve(L, d[chosen, :rows, np.newaxis])[:, :, 0]
+    for rows, selected in ((3, has_heading), (2, ~has_heading)):
+        L = np.linalg.cholesky((P + R)[selected, :rows, :rows])
+        w[selected, :rows] = np.linalg.solve(L, d[selected, :rows, np.newaxis])[:, :, 0]
     return w
 
 

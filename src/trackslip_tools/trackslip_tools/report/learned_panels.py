@@ -15,8 +15,8 @@ Row = tuple[str, ...]
 
 def learned_rows(run: Run) -> list[Row]:
     """Quantity, value, interval of ±2σ, unit, description; only the description of unobserved quantities."""
-    found = run.replay.learned[-1].findings if run.replay.learned else []
-    return [_row(finding) for finding in found]
+    findings = run.replay.learned[-1].findings if run.replay.learned else []
+    return [_row(finding) for finding in findings]
 
 
 def learned_panels(runs: Sequence[Run]) -> list[Panel]:
@@ -53,18 +53,18 @@ def _nominal_value(finding: LearnedQuantity) -> float:
 
 def _learned_curve(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
     """A quantity over time, as a curve."""
-    found = [
-        (known.stamp_ns, finding)
-        for known in run.replay.learned
-        for finding in known.findings
+    course = [
+        (learned.stamp_ns, finding)
+        for learned in run.replay.learned
+        for finding in learned.findings
         if finding.name == name
     ]
-    if not found:
+    if not course:
         return None
-    form = found[0][1].form
-    values = np.array([form.displayed_value(finding.value) for _, finding in found])
-    sigmas = np.array([form.scale * finding.stddev for _, finding in found])
-    times = run.recording.seconds(np.array([stamp_ns for stamp_ns, _ in found], np.int64))
+    form = course[0][1].form
+    values = np.array([form.displayed_value(finding.value) for _, finding in course])
+    sigmas = np.array([form.scale * finding.stddev for _, finding in course])
+    times = run.recording.seconds(np.array([stamp_ns for stamp_ns, _ in course], np.int64))
     label, colour = curve_label(runs, run, "estimate"), curve_colour(runs, run, BLUE)
     low, high = sigma_band(values, sigmas)
     return Curve(label, colour, times, values, band=(np.maximum(low, form.least), high))

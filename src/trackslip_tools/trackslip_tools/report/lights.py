@@ -63,9 +63,9 @@ def statuses_of(message: Any, namespace: str = "") -> list[Status]:
 
 def _status(one: Any, prefix: str) -> Status:
     level = one.level[0] if isinstance(one.level, bytes) else int(one.level)
-    known = Level(level) if level in (Level.OK, Level.WARN, Level.ERROR, Level.STALE) else Level.ERROR
+    known_level = Level(level) if level in (Level.OK, Level.WARN, Level.ERROR, Level.STALE) else Level.ERROR
     values = {pair.key: pair.value for pair in one.values}
-    return Status(_short_text(one.name.removeprefix(prefix)), known, _short_text(one.message), values)
+    return Status(_short_text(one.name.removeprefix(prefix)), known_level, _short_text(one.message), values)
 
 
 def _short_text(text: str) -> str:
@@ -84,16 +84,16 @@ class Lights:
     def __init__(self) -> None:
         self._received: dict[str, _ReceivedStatus] = {}
         self._new_values: dict[str, Mapping[str, str]] = {}
-        self.left_out = 0  # statuses beyond ``MOST``
+        self.left_out = 0  # statuses beyond ``MAX_LIGHTS``
 
     def update(self, statuses: Iterable[Status], now_s: float) -> None:
         """Add a DiagnosticArray; parts of its nodes that it no longer contains are removed as recovered."""
-        found = {status.name: status for status in statuses}
-        nodes = {status.node for status in found.values()}
+        by_name = {status.name: status for status in statuses}
+        nodes = {status.node for status in by_name.values()}
         for name, received in list(self._received.items()):
-            if received.status.node in nodes and name not in found:
+            if received.status.node in nodes and name not in by_name:
                 del self._received[name]
-        for name, status in found.items():
+        for name, status in by_name.items():
             if name in self._received or len(self._received) < MAX_LIGHTS:
                 self._received[name] = _ReceivedStatus(status, now_s)
                 self._new_values[name] = status.values
@@ -102,8 +102,8 @@ class Lights:
 
     def pop_new_values(self) -> list[Mapping[str, str]]:
         """Values of the statuses received since the last call."""
-        news, self._new_values = list(self._new_values.values()), {}
-        return news
+        new_values, self._new_values = list(self._new_values.values()), {}
+        return new_values
 
     def lights_at(self, now_s: float) -> list[Light]:
         """All lights, sorted by name."""

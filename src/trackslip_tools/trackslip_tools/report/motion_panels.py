@@ -24,31 +24,29 @@ from trackslip_tools.report.panel import (
     drawn_states,
     sigma_band,
 )
-from trackslip_tools.report.quantities import QUANTITIES, Quantity
+from trackslip_tools.report.quantities import DEGREES, QUANTITIES, Quantity
 from trackslip_tools.report.run import Run, States, first_runs_of_bags
-
-_DEGREES = 180.0 / np.pi
 
 
 def error_panels(runs: Sequence[Run]) -> list[Panel]:
     """Errors of position and heading against the reference, with their 2σ in the estimate."""
     distance, heading = [], []
-    for run, shown in _drawn_states(runs):
-        errors = errors_of(run, shown.states)
+    for run, drawn in _drawn_states(runs):
+        errors = errors_of(run, drawn.states)
         if errors is None:
             continue
-        label, colour = curve_label(runs, run, shown.name), curve_colour(runs, run, shown.colour)
+        label, colour = curve_label(runs, run, drawn.name), curve_colour(runs, run, drawn.colour)
         variances = np.diagonal(errors.covariances, axis1=1, axis2=2)
         distances = 100.0 * np.hypot(errors.values[:, 0], errors.values[:, 1])
         bounds = 100.0 * SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
         band = (np.zeros_like(distances), bounds)
-        distance.append(Curve(label, colour, errors.times, distances, shown.form, band))
-        turned = _DEGREES * errors.values[:, 2]
-        if not np.isfinite(turned).any():  # a reference without headings
+        distance.append(Curve(label, colour, errors.times, distances, drawn.form, band))
+        heading_errors = DEGREES * errors.values[:, 2]
+        if not np.isfinite(heading_errors).any():  # a reference without headings
             continue
-        known = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
-        band = sigma_band(np.zeros_like(turned), _DEGREES * np.sqrt(known))
-        heading.append(Curve(label, colour, errors.times, turned, shown.form, band))
+        known_variances = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
+        band = sigma_band(np.zeros_like(heading_errors), DEGREES * np.sqrt(known_variances))
+        heading.append(Curve(label, colour, errors.times, heading_errors, drawn.form, band))
     if not distance:
         return []
     panels = [Panel("Position: distance from the reference", "error, cm", distance, from_zero=True)]
@@ -81,13 +79,13 @@ def errors_of(run: Run, states: States) -> Errors | None:
     if reference is None:
         return None
     values = states.path.poses_at(reference.stamps_ns) - reference.poses
-    covered = np.isfinite(values[:, 0])
-    if not covered.any():
+    is_covered = np.isfinite(values[:, 0])
+    if not is_covered.any():
         return None
     values[:, 2] = wrap_angles(values[:, 2])
-    stamps_ns = reference.stamps_ns[covered]
-    next_one = np.searchsorted(states.path.stamps_ns, stamps_ns)
-    return Errors(run.recording.seconds(stamps_ns), values[covered], states.pose_covariances[next_one])
+    stamps_ns = reference.stamps_ns[is_covered]
+    following = np.searchsorted(states.path.stamps_ns, stamps_ns)
+    return Errors(run.recording.seconds(stamps_ns), values[is_covered], states.pose_covariances[following])
 
 
 def true_slips(run: Run) -> Series | None:
@@ -110,24 +108,24 @@ def _true_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
             values = quantity.scale * series[quantity.true_column]
             moving = true_slips(run) if quantity.truth == TRUE_SLIP else None
             if moving is not None:  # slips are undefined elsewhere
-                known = quantity.scale * moving[quantity.true_column]
+                moving_values = quantity.scale * moving[quantity.true_column]
                 values = np.full(len(series), np.nan)
-                values[np.searchsorted(series.stamps_ns, moving.stamps_ns)] = known
+                values[np.searchsorted(series.stamps_ns, moving.stamps_ns)] = moving_values
             yield Curve(label, colour, run.recording.seconds(series.stamps_ns), values, form)
 
 
 def _estimated_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
-    for run, shown in _drawn_states(runs):
-        states = shown.states
+    for run, drawn in _drawn_states(runs):
+        states = drawn.states
         values, (lower, upper) = quantity.values_with_band(vars(states))
         if quantity.estimate == "slips":
             values, lower, upper = (
-                np.where(states.is_moving, each, np.nan) for each in (values, lower, upper)
+                np.where(states.is_moving, column, np.nan) for column in (values, lower, upper)
             )
-        label, colour = curve_label(runs, run, shown.name), curve_colour(runs, run, shown.colour)
+        label, colour = curve_label(runs, run, drawn.name), curve_colour(runs, run, drawn.colour)
         times = run.recording.seconds(states.path.stamps_ns)
-        yield Curve(label, colour, times, values, shown.form, (lower, upper))
+        yield Curve(label, colour, times, values, drawn.form, (lower, upper))
 
 
 def _drawn_states(runs: Sequence[Run]) -> Iterator[tuple[Run, DrawnStates]]:
-    return ((run, shown) for run in runs for shown in drawn_states(run))
+    return ((run, drawn) for run in runs for drawn in drawn_states(run))

@@ -58,10 +58,10 @@ class NumbersCollector:
         self._convert_waiting()
         rows = np.concatenate(self._parts)
         times = (rows["stamp_ns"] - self._start_ns) * 1e-9
-        names = sorted({name for known, _ in self._classes for name in known})
+        names = sorted({name for own_names, _ in self._classes for name in own_names})
         probabilities = {name: np.full(len(rows), np.nan) for name in names}
-        for k, (known, values) in enumerate(self._classes):
-            for name, value in zip(known, values, strict=True):
+        for k, (own_names, values) in enumerate(self._classes):
+            for name, value in zip(own_names, values, strict=True):
                 probabilities[name][k] = value
         return Numbers(times, rows, probabilities, self._reason)
 
@@ -71,6 +71,6 @@ class NumbersCollector:
 
     def _add_classes(self, message: Any) -> None:
         names, values = tuple(message.class_names), np.asarray(message.class_probabilities)
-        fit = len(names) == len(values)  # otherwise probabilities cannot be assigned
-        self._classes.append((names, values) if fit else ((), values[:0]))
+        are_paired = len(names) == len(values)  # otherwise probabilities cannot be assigned
+        self._classes.append((names, values) if are_paired else ((), values[:0]))
         self._reason = message.reason

@@ -111,9 +111,9 @@ def _template_variables(
     return {
         "runs": run_facts(runs),
         "facts": [*zip(*heads, strict=True)],
-        "events": [(run.label, event_rows(found)) for run, found in zip(runs, events, strict=True)],
+        "events": [(run.label, event_rows(of_run)) for run, of_run in zip(runs, events, strict=True)],
         "is_aligned": len(first_runs_of_bags(runs)) > 1,
-        "verdicts": [(name, [found[name] for found in checks]) for name in checks[0]],
+        "verdicts": [(name, [of_run[name] for of_run in checks]) for name in checks[0]],
         "learned": [(run.label, learned_rows(run)) for run in runs],
         "sections": sections,
         "topics": [(run.label, topic_rows(run)) for run in first_runs_of_bags(runs)],

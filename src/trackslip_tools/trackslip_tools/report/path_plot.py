@@ -126,9 +126,9 @@ def _draw_estimate(plot: figure, runs: Sequence[Run], run: Run, samples: int) ->
 
 
 def _path_source(run: Run, path: Path, samples: int) -> ColumnDataSource:
-    kept = extreme_indices([path.poses[:, 0], path.poses[:, 1]], samples)
-    x, y, heading = path.poses[kept].T
-    t = run.recording.seconds(path.stamps_ns[kept])
+    indices = extreme_indices([path.poses[:, 0], path.poses[:, 1]], samples)
+    x, y, heading = path.poses[indices].T
+    t = run.recording.seconds(path.stamps_ns[indices])
     return ColumnDataSource(
         {"t": t.astype(np.float32), "x": x, "y": y, "heading": heading.astype(np.float32)}
     )
@@ -136,8 +136,8 @@ def _path_source(run: Run, path: Path, samples: int) -> ColumnDataSource:
 
 def ellipses(states: States) -> FloatArray:
     """(k, 33, 2) closed 2σ outlines of the position, evenly spread over the samples."""
-    chosen = _spread_indices(len(states.path.stamps_ns), _ELLIPSES)
-    return plan_shapes.ellipses(states.path.poses[chosen, :2], states.pose_covariances[chosen, :2, :2])
+    indices = _spread_indices(len(states.path.stamps_ns), _ELLIPSES)
+    return plan_shapes.ellipses(states.path.poses[indices, :2], states.pose_covariances[indices, :2, :2])
 
 
 def boxes(run: Run) -> FloatArray:
@@ -158,7 +158,7 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
     by_source = {
         run.details.sources[number]: fixes["source"] == number for number in np.unique(fixes["source"])
     }
-    return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
+    return {source: fixes["value"][is_source] for source, is_source in sorted(by_source.items())}
 
 
 def _spread_indices(size: int, requested: int) -> NDArray[np.intp]:

@@ -57,8 +57,8 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
         plot.add_layout(Span(location=limit, dimension="width", **style))
     bands = sum(curve.band is not None for curve in panel.curves)
     alpha = 0.25 / max(bands, 1) ** 0.5
-    drawn = {curve: _draw_curve(plot, curve, samples, alpha) for curve in panel.curves}
-    _add_hover(plot, drawn)
+    renderers = {curve: _draw_curve(plot, curve, samples, alpha) for curve in panel.curves}
+    _add_hover(plot, renderers)
     low, high = visible_range(panel)
     plot.y_range = Range1d(low, high)
     style_plot(plot)
@@ -74,12 +74,12 @@ def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
         for bar in strip.rows[name]:
             by_style.setdefault(bar.style, []).append((row, bar.interval))
     for style, placed in sorted(by_style.items(), key=lambda item: item[1][0][1].state):
-        chosen = placed[:samples]
+        shown = placed[:samples]
         columns = {
-            "row": [row for row, _ in chosen],
-            "start": [interval.start for _, interval in chosen],
-            "stop": [interval.stop for _, interval in chosen],
-            "text": [interval.text for _, interval in chosen],
+            "row": [row for row, _ in shown],
+            "start": [interval.start for _, interval in shown],
+            "stop": [interval.stop for _, interval in shown],
+            "text": [interval.text for _, interval in shown],
         }
         drawn = plot.hbar(
             "row", height=0.6, left="start", right="stop", source=ColumnDataSource(columns), name=style.label,
@@ -120,8 +120,8 @@ def plot_tools(box: BoxZoomTool, **of_wheel: str) -> dict[str, Any]:
     """Tools of a plot, as arguments of ``figure``."""
     wheel = WheelZoomTool(modifiers={"ctrl": True}, **of_wheel)
     # None is active: page.js activates them for a mouse; a finger scrolls the page.
-    own = [box, wheel, PanTool(), ResetTool(), SaveTool()]
-    return {"tools": own, "active_drag": None, "active_scroll": None}
+    tools = [box, wheel, PanTool(), ResetTool(), SaveTool()]
+    return {"tools": tools, "active_drag": None, "active_scroll": None}
 
 
 def style_plot(plot: figure) -> None:
@@ -180,10 +180,10 @@ def plot_text(text: str, longest: int = _LABEL) -> str:
 
 def _draw_curve(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphRenderer:
     """Draw a curve above its band."""
-    kept = extreme_indices([curve.values, *(curve.band or ())], samples)
-    columns = {"t": curve.times[kept], "value": curve.values[kept]}
+    indices = extreme_indices([curve.values, *(curve.band or ())], samples)
+    columns = {"t": curve.times[indices], "value": curve.values[indices]}
     if curve.band is not None:
-        columns["low"], columns["high"] = (edge[kept] for edge in curve.band)
+        columns["low"], columns["high"] = (edge[indices] for edge in curve.band)
     source = ColumnDataSource({name: column.astype(np.float32) for name, column in columns.items()})
     style = {"legend_label": curve.label, "source": source, "name": curve.label}
     if curve.band is not None:
@@ -191,18 +191,18 @@ def _draw_curve(plot: figure, curve: Curve, samples: int, band_alpha: float) -> 
     style["color"] = curve.colour
     if curve.form in _DASHES:
         style |= {"line_width": 2.2 if curve.colour == INK else 1.5, "line_dash": _DASHES[curve.form]}
-        drawn = plot.line("t", "value", **style)
+        renderer = plot.line("t", "value", **style)
     else:
         marker, size = ("circle", 3.5) if curve.form is Form.POINTS else ("x", 8)
-        drawn = plot.scatter("t", "value", marker=marker, size=size, **style)
-    return drawn
+        renderer = plot.scatter("t", "value", marker=marker, size=size, **style)
+    return renderer
 
 
-def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
+def _add_hover(plot: figure, renderers: dict[Curve, GlyphRenderer]) -> None:
     """Show values under the mouse: of all lines at its time, or of the point below it."""
     tips = "<div><b>$name</b> @value{0.0000} at @t{0.00} s</div>"
-    for mode, lines in (("vline", True), ("mouse", False)):
-        shown = [renderer for curve, renderer in drawn.items() if (curve.form in _DASHES) == lines]
+    for mode, is_line in (("vline", True), ("mouse", False)):
+        shown = [renderer for curve, renderer in renderers.items() if (curve.form in _DASHES) == is_line]
         plot.add_tools(HoverTool(renderers=shown, tooltips=tips, mode=mode, visible=False))
 
 
@@ -252,11 +252,11 @@ def extreme_indices(columns: Sequence[FloatArray], limit: int) -> NDArray[np.int
     width = -(-size // pieces)
     starts = np.arange(0, size, width)
     padded = [np.append(column, np.full(-size % width, np.nan)).reshape(-1, width) for column in columns]
-    kept = [np.array((0, size - 1))]
+    chosen = [np.array((0, size - 1))]
     for rows in padded:
-        kept.append(starts + np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1))
-        kept.append(starts + np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1))
+        chosen.append(starts + np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1))
+        chosen.append(starts + np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1))
     broken = np.isnan(np.stack(padded)).any(axis=0)
-    kept.append((starts + np.argmax(broken, axis=1))[broken.any(axis=1)])
-    indices = np.unique(np.concatenate(kept))
+    chosen.append((starts + np.argmax(broken, axis=1))[broken.any(axis=1)])
+    indices = np.unique(np.concatenate(chosen))
     return indices[indices < size]

@@ -18,7 +18,7 @@ from trackslip_tools.report.panel import BLUE, ORANGE, Form, sigma_band
 Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one or many moments
 Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
 
-_DEGREES = 180.0 / np.pi
+DEGREES = 180.0 / np.pi
 PERCENT = 100.0
 
 
@@ -48,9 +48,9 @@ QUANTITIES = (
     Quantity(
         "Slip of the right track", "slip, %", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip", PERCENT
     ),
-    Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", _DEGREES),
+    Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", DEGREES),
     Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
-    Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", _DEGREES),
+    Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", DEGREES),
 )
 
 

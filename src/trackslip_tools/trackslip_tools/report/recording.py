@@ -115,10 +115,8 @@ class Recording:
             start_s=self.start_s + by_s,
             stop_s=self.stop_s + by_s,
             timings={name: Timing(timing.times + by_s) for name, timing in self.timings.items()},
-            numbers={name: replace(found, times=found.times + by_s) for name, found in self.numbers.items()},
-            lights={
-                name: [interval.shift(by_s) for interval in found] for name, found in self.lights.items()
-            },
+            numbers={name: replace(own, times=own.times + by_s) for name, own in self.numbers.items()},
+            lights={name: [interval.shift(by_s) for interval in own] for name, own in self.lights.items()},
             events=[event._replace(time_ms=event.time_ms + 1e3 * by_s) for event in self.events],
         )
 
@@ -157,7 +155,7 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
         stop_s=stop_s,
         damage=bag.damage,
         parameters=bag_parameters(bag),
-        timings={name: Timing(_seconds(found, bag.start_ns)) for name, found in times.items()},
+        timings={name: Timing(_seconds(log_times, bag.start_ns)) for name, log_times in times.items()},
         numbers={name: collector.numbers() for name, collector in numbers.items() if len(collector)},
         laser=laser,
         points=points,
@@ -193,9 +191,9 @@ class _Scans:
         """Position of the laser, and (n, 2) scanned points, m in odom; None without a scan."""
         if self._site is None or not self._clouds:
             return None, np.empty((0, 2))
-        place, points = np.array((self._site.laser_x, self._site.laser_y)), np.concatenate(self._clouds)
+        laser, points = np.array((self._site.laser_x, self._site.laser_y)), np.concatenate(self._clouds)
         _, first = np.unique(np.round(points / _CELL), axis=0, return_index=True)
-        return place, place + points[np.sort(first)]
+        return laser, laser + points[np.sort(first)]
 
 
 def _scan_points(scan: Any, laser_yaw: float) -> FloatArray:
@@ -203,12 +201,12 @@ def _scan_points(scan: Any, laser_yaw: float) -> FloatArray:
     ranges = np.asarray(scan.ranges[:_MOST_RANGES], dtype=np.float64)
     with np.errstate(invalid="ignore"):
         angles = laser_yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    seen = (
+    is_valid = (
         (ranges > scan.range_min)
         & (ranges < min(scan.range_max, _MAX_RANGE))
         & (np.abs(angles) < _MOST_TURNS)
     )
-    angles, ranges = angles[seen], ranges[seen]
+    angles, ranges = angles[is_valid], ranges[is_valid]
     return np.asarray(ranges[:, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
 
 

@@ -69,11 +69,11 @@ class Run:
     def numbers(self) -> dict[str, Numbers]:
         """Forces and soil by topic: of the replay if it computed them, else of the bag."""
         kinds = {FORCES: ForceFields, SOIL: SoilFields}
-        found = {topic: NumbersCollector(kind, self.recording.zero_ns) for topic, kind in kinds.items()}
+        collectors = {topic: NumbersCollector(kind, self.recording.zero_ns) for topic, kind in kinds.items()}
         for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
-            if topic in found:
-                found[topic].add(message)
-        replayed = {topic: collector.numbers() for topic, collector in found.items() if len(collector)}
+            if topic in collectors:
+                collectors[topic].add(message)
+        replayed = {topic: collector.numbers() for topic, collector in collectors.items() if len(collector)}
         return self.recording.numbers | replayed
 
 
@@ -97,8 +97,8 @@ def _start_of_driving_ns(run: Run) -> int:
     """Stamp of the first estimate that drives; without one, the origin of the recording."""
     if run.states is None:
         return run.recording.zero_ns
-    drives = np.isin(run.states.motion, (Motion.STRAIGHT, Motion.TURNING))
-    first = run.states.path.stamps_ns[drives][:1]
+    is_driving = np.isin(run.states.motion, (Motion.STRAIGHT, Motion.TURNING))
+    first = run.states.path.stamps_ns[is_driving][:1]
     return int(first[0]) if len(first) else run.recording.zero_ns
 
 

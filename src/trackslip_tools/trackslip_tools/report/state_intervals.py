@@ -47,9 +47,9 @@ class Strip:
     rows: dict[str, list[Bar]]  # from top to bottom
 
 
-def bars(found: Iterable[StateInterval], styles: Mapping[int, Style]) -> list[Bar]:
+def bars(intervals: Iterable[StateInterval], styles: Mapping[int, Style]) -> list[Bar]:
     """Intervals with the styles of their states."""
-    return [Bar(interval, styles[interval.state]) for interval in found]
+    return [Bar(interval, styles[interval.state]) for interval in intervals]
 
 
 def state_intervals(times: FloatArray, states: NDArray[Any]) -> list[StateInterval]:
@@ -65,6 +65,6 @@ def state_intervals(times: FloatArray, states: NDArray[Any]) -> list[StateInterv
     ]
 
 
-def total_duration(found: Iterable[StateInterval], state: int) -> float:
+def total_duration(intervals: Iterable[StateInterval], state: int) -> float:
     """Total duration of the intervals of a state, s."""
-    return sum(interval.stop - interval.start for interval in found if interval.state == state)
+    return sum(interval.stop - interval.start for interval in intervals if interval.state == state)

@@ -84,14 +84,14 @@ def differing_rows(rows: Sequence[Row]) -> list[Row]:
 def _run_facts(run: Run, colour: str) -> dict[str, str]:
     recording, p = run.recording, run.parameters
     since_start_s = (recording.zero_ns - recording.start_ns) * 1e-9
-    looked_at = (recording.start_s + since_start_s, recording.stop_s + since_start_s)
+    part = (recording.start_s + since_start_s, recording.stop_s + since_start_s)
     start = datetime.fromtimestamp(recording.start_ns * 1e-9, tz=timezone.utc)
     return {
         "label": run.label,
         "colour": colour,
         "bag": recording.path,
         "date": f"{start:%Y-%m-%d %H:%M:%S} UTC",
-        "looked_at": "{:g} to {:.1f} s".format(*looked_at),
+        "part": "{:g} to {:.1f} s".format(*part),
         "duration": f"{recording.stop_s - recording.start_s:.1f} s",
         "vehicle": p.vehicle.name,
         "filter": f"{p.filter}, model {p.model}",

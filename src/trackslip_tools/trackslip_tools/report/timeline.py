@@ -80,16 +80,16 @@ def stuck_track_intervals(run: Run) -> dict[str, list[StateInterval]]:
 
 def loss_intervals(run: Run) -> dict[str, list[StateInterval]]:
     """Source of poses → intervals without an accepted fix, longer than its silence limit."""
-    fixes, allowed = run.details.fixes, silence_limits(run)
-    found: dict[str, list[StateInterval]] = {}
+    fixes, limits = run.details.fixes, silence_limits(run)
+    intervals: dict[str, list[StateInterval]] = {}
     for number, source in enumerate(run.details.sources):
-        own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
-        times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
-        if source in allowed and len(times):
+        is_accepted = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
+        times = np.sort(run.recording.seconds(fixes["stamp_ns"][is_accepted]))
+        if source in limits and len(times):
             ends = np.append(times[1:], max(measured_interval(run).stop, times[-1]))
-            gaps = np.flatnonzero(ends - times > allowed[source])
-            found[source] = [StateInterval(float(times[k]), float(ends[k]), _LOST_STATE) for k in gaps]
-    return {source: own for source, own in found.items() if own}
+            gaps = np.flatnonzero(ends - times > limits[source])
+            intervals[source] = [StateInterval(float(times[k]), float(ends[k]), _LOST_STATE) for k in gaps]
+    return {source: own for source, own in intervals.items() if own}
 
 
 def measured_interval(run: Run) -> StateInterval:
@@ -103,21 +103,23 @@ def measured_interval(run: Run) -> StateInterval:
 
 def explanation_intervals(run: Run) -> list[StateInterval]:
     """Intervals with one explanation or several competing ones, with their texts."""
-    found: list[StateInterval] = []
+    intervals: list[StateInterval] = []
     group: list[CompetingExplanations] = []
-    for one in run.details.explained:
-        if group and _explanation_state(one) != _explanation_state(group[0]):
-            found += _explanation_interval(run, group, one.stamp_ns)
+    for competing in run.details.explanations:
+        if group and _explanation_state(competing) != _explanation_state(group[0]):
+            intervals += _explanation_interval(run, group, competing.stamp_ns)
             group = []
-        group.append(one)
-    return found + (_explanation_interval(run, group, group[-1].stamp_ns) if group else [])
+        group.append(competing)
+    return intervals + (_explanation_interval(run, group, group[-1].stamp_ns) if group else [])
 
 
-def _explanation_state(one: CompetingExplanations) -> tuple[int, str]:
+def _explanation_state(competing: CompetingExplanations) -> tuple[int, str]:
     """State and text that distinguish one interval from the next, without numbers in the text."""
-    if one.number_competing > 1:
+    if competing.number_competing > 1:
         return _SEVERAL_EXPLANATIONS, ""
-    return one.number_competing, mask_numbers(one.explanations[0].text) if one.number_competing else ""
+    return competing.number_competing, mask_numbers(
+        competing.explanations[0].text
+    ) if competing.number_competing else ""
 
 
 def _explanation_interval(
@@ -127,18 +129,18 @@ def _explanation_interval(
     if not group[0].number_competing:
         return []
     start, stop = run.recording.seconds(np.array((group[0].stamp_ns, end_ns))).tolist()
-    found = group[len(group) // 2].explanations
-    text = sentence(found, stop - start) if len(found) > 1 else found[0].text
+    explanations = group[len(group) // 2].explanations
+    text = sentence(explanations, stop - start) if len(explanations) > 1 else explanations[0].text
     return [StateInterval(start, stop, _explanation_state(group[0])[0], text)]
 
 
-def stuck_tracks_text(found: Mapping[str, Sequence[StateInterval]]) -> str:
+def stuck_tracks_text(intervals: Mapping[str, Sequence[StateInterval]]) -> str:
     """Trouble, track and total duration of each; empty without troubles."""
     reported = [
         f"{TROUBLE_TEXTS[trouble]}: {side} track {seconds:.1f} s"
         for trouble in (TrackCondition.STALLED, TrackCondition.STUCK)
-        for side, own in found.items()
-        if (seconds := total_duration(own, trouble)) > 0.0
+        for side, of_side in intervals.items()
+        if (seconds := total_duration(of_side, trouble)) > 0.0
     ]
     return "; ".join(reported)
 
@@ -157,43 +159,43 @@ def silence_limits(run: Run) -> dict[str, float]:
 
 def strips(runs: Sequence[Run]) -> list[Strip]:
     """Strips of each run with motion, troubles and lost fixes; strips of each bag with its diagnostics."""
-    found = []
+    strips_of_runs = []
     for run in runs:
         rows = {"motion": bars(motion_intervals(run), _MOTION_STYLES)}
-        for side, own in stuck_track_intervals(run).items():
-            rows[f"{side} track"] = bars(own, _STUCK_TRACK_STYLES)
-        rows |= {source: bars(own, _LOST_STYLES) for source, own in loss_intervals(run).items()}
+        for side, intervals in stuck_track_intervals(run).items():
+            rows[f"{side} track"] = bars(intervals, _STUCK_TRACK_STYLES)
+        rows |= {source: bars(intervals, _LOST_STYLES) for source, intervals in loss_intervals(run).items()}
         rows |= (
-            {"explanations": bars(found_, _EXPLANATION_STYLES)}
-            if (found_ := explanation_intervals(run))
+            {"explanations": bars(explanations, _EXPLANATION_STYLES)}
+            if (explanations := explanation_intervals(run))
             else {}
         )
         if any(rows.values()):
-            found.append(Strip(plot_title(runs, run, "Motion, tracks in trouble, lost fixes"), rows))
+            strips_of_runs.append(Strip(plot_title(runs, run, "Motion, tracks in trouble, lost fixes"), rows))
     for run in first_runs_of_bags(runs):
-        rows = {name: bars(own, _LIGHT_STYLES) for name, own in run.recording.lights.items()}
+        rows = {name: bars(intervals, _LIGHT_STYLES) for name, intervals in run.recording.lights.items()}
         if rows:
-            found.append(Strip(plot_title(runs, run, "Lights of sensors and nodes"), rows))
-    return found
+            strips_of_runs.append(Strip(plot_title(runs, run, "Lights of sensors and nodes"), rows))
+    return strips_of_runs
 
 
 def message_strips(runs: Sequence[Run]) -> list[Strip]:
     """Strip of each bag with the times of messages and gaps, by topic."""
-    found = []
+    strips_of_bags = []
     for run in first_runs_of_bags(runs):
         timings = {name: timing for name, timing in run.recording.timings.items() if len(timing.times)}
         rows = {name: _message_bars(timing) for name, timing in timings.items()}
-        found.append(Strip(plot_title(runs, run, "Messages"), rows))
-    return found
+        strips_of_bags.append(Strip(plot_title(runs, run, "Messages"), rows))
+    return strips_of_bags
 
 
 def _message_bars(timing: Timing) -> list[Bar]:
     gaps = timing.gaps
     edges = [float(timing.times[0]), *(edge for gap in gaps for edge in gap), float(timing.times[-1])]
-    there = [
+    messages = [
         Bar(StateInterval(a, b, 0), _MESSAGES_STYLE) for a, b in zip(edges[::2], edges[1::2], strict=True)
     ]
-    return there + [Bar(StateInterval(gap.start, gap.stop, 0), _GAP_STYLE) for gap in gaps]
+    return messages + [Bar(StateInterval(gap.start, gap.stop, 0), _GAP_STYLE) for gap in gaps]
 
 
 def events_of(run: Run) -> list[Event]:
@@ -206,8 +208,8 @@ def events_of(run: Run) -> list[Event]:
         *_explanation_events(run),
         *_soil_events(run),
     )
-    found = [*replayed, *_fold_start_and_stop(run)]
-    return sorted(found, key=lambda event: event.time_ms)
+    events = [*replayed, *_fold_start_and_stop(run)]
+    return sorted(events, key=lambda event: event.time_ms)
 
 
 def _fold_start_and_stop(run: Run) -> list[Event]:
@@ -219,9 +221,11 @@ def _fold_start_and_stop(run: Run) -> list[Event]:
     end = [event for event in run.recording.events if event.time_ms > max(last, first)]
     between = [event for event in run.recording.events if event not in (*begin, *end)]
     folded = []
-    for own, word in ((begin, "start-up"), (end, "shut-down")):
+    for group, word in ((begin, "start-up"), (end, "shut-down")):
         folded += (
-            [own[0]._replace(level=Level.OK, text=f"{word}: {len(own)} reports of nodes")] if own[1:] else own
+            [group[0]._replace(level=Level.OK, text=f"{word}: {len(group)} reports of nodes")]
+            if group[1:]
+            else group
         )
     return [*folded, *between]
 
@@ -231,18 +235,18 @@ def _make_event(at_s: float, level: Level, text: str) -> Event:
 
 
 def _stuck_track_events(run: Run) -> Iterator[Event]:
-    for side, own in stuck_track_intervals(run).items():
-        for interval in own:
-            lasted = f"for {interval.stop - interval.start:.1f} s"
-            text = f"{side} track {TROUBLE_TEXTS[TrackCondition(interval.state)]} {lasted}"
+    for side, intervals in stuck_track_intervals(run).items():
+        for interval in intervals:
+            duration = f"for {interval.stop - interval.start:.1f} s"
+            text = f"{side} track {TROUBLE_TEXTS[TrackCondition(interval.state)]} {duration}"
             yield _make_event(interval.start, Level.WARN, text)
 
 
 def _lost_fix_events(run: Run) -> Iterator[Event]:
-    for source, own in loss_intervals(run).items():
-        for start, stop, *_ in own:
-            lasted = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
-            yield _make_event(start, Level.WARN, f"fix lost: nothing accepted of {source} {lasted}")
+    for source, intervals in loss_intervals(run).items():
+        for start, stop, *_ in intervals:
+            duration = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
+            yield _make_event(start, Level.WARN, f"fix lost: nothing accepted of {source} {duration}")
 
 
 def _silence_events(run: Run) -> Iterator[Event]:
@@ -261,12 +265,14 @@ def _rejection_events(run: Run) -> Iterator[Event]:
     gated = reports[reports["outcome"] == Outcome.GATED]
     for number, source in enumerate(run.details.sources):
         times = np.sort(run.recording.seconds(gated["stamp_ns"][gated["source"] == number]))
-        seen = run.recording.seconds(reports["stamp_ns"][reports["source"] == number])
+        times_of_source = run.recording.seconds(reports["stamp_ns"][reports["source"] == number])
         for group in np.split(times, np.flatnonzero(np.diff(times) > _GROUP_GAP_S) + 1):
             if len(group):
                 text = f"gate rejects {len(group)} of {source} within {np.ptp(group):.1f} s"
-                near = (seen > group[0] - _GROUP_GAP_S) & (seen < group[-1] + _GROUP_GAP_S)
-                share = len(group) / max(int(near.sum()), 1)
+                is_near = (times_of_source > group[0] - _GROUP_GAP_S) & (
+                    times_of_source < group[-1] + _GROUP_GAP_S
+                )
+                share = len(group) / max(int(is_near.sum()), 1)
                 yield _make_event(
                     float(group[0]), Level.WARN if share > _MAX_REJECTED_SHARE else Level.OK, text
                 )
@@ -277,10 +283,10 @@ def _explanation_events(run: Run) -> Iterator[Event]:
     for interval in explanation_intervals(run):
         if interval.state == _SEVERAL_EXPLANATIONS:
             yield _make_event(interval.start, Level.WARN, interval.text)
-    for h in run.replay.accepted_events:
-        if h.event is not Explaining.OUTLIER:
-            level = Level.OK if h.event is Explaining.RECOVERED or h.begins else Level.WARN
-            yield _make_event(float(run.recording.seconds(np.array(h.stamp_ns))), level, h.text)
+    for event in run.replay.accepted_events:
+        if event.event is not Explaining.OUTLIER:
+            level = Level.OK if event.event is Explaining.RECOVERED or event.begins else Level.WARN
+            yield _make_event(float(run.recording.seconds(np.array(event.stamp_ns))), level, event.text)
 
 
 def _soil_events(run: Run) -> list[Event]:
@@ -292,4 +298,4 @@ def _soil_events(run: Run) -> list[Event]:
     for k, at_s in enumerate(numbers.times.tolist()):
         classes = {name: float(p[k]) for name, p in numbers.classes.items() if np.isfinite(p[k])}
         events.add_soil_change(classes, at_s, 1e3 * at_s)
-    return list(events.kept)
+    return list(events.recent)

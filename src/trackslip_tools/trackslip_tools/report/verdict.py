@@ -96,8 +96,8 @@ def verdicts(run: Run, limits: VerdictLimits) -> dict[str, Verdict]:
     return {name: check(run, limits) for name, check in checks.items()}
 
 
-def _make_verdict(good: bool, value: str, words: str) -> Verdict:
-    return Verdict(State.OK if good else State.ATTENTION, value, words)
+def _make_verdict(is_good: bool, value: str, words: str) -> Verdict:
+    return Verdict(State.OK if is_good else State.ATTENTION, value, words)
 
 
 def _unchecked(words: str) -> Verdict:
@@ -114,24 +114,26 @@ def _check_setup(run: Run, _: VerdictLimits) -> Verdict:
         return _make_verdict(False, "undecided", f"{setup.headline}.")
     if not setup.facts:
         return _unchecked("The drive is too short for the setup check.")
-    open_ones = "; ".join(f"{one.what}: {one.needed}" for one in setup.undetermined)
+    questions = "; ".join(f"{one.what}: {one.needed}" for one in setup.undetermined)
     agree = "Tracks, inertial unit and fixes agree."
-    return _make_verdict(True, "no cause found", f"{agree} Not decided: {open_ones}." if open_ones else agree)
+    return _make_verdict(True, "no cause found", f"{agree} Not decided: {questions}." if questions else agree)
 
 
 def _check_bag(run: Run, _: VerdictLimits) -> Verdict:
     if run.recording.damage:
-        return _make_verdict(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
+        return _make_verdict(
+            False, "damaged", f"Only the undamaged part could be read ({run.recording.damage})."
+        )
     return _make_verdict(True, "whole", "The recording was closed properly.")
 
 
 def _check_live(run: Run, _: VerdictLimits) -> Verdict:
-    live, carried = run.replay.live, run.recording.parameters
+    live, bag_parameters = run.replay.live, run.recording.parameters
     if run.filters.changes_inputs:
         return _unchecked("The estimator was given other measurements than live.")
     if live is None:
         return _unchecked("The bag holds no live estimates.")
-    if any(carried.get(name, value) != value for name, value in to_flat(run.parameters).items()):
+    if any(bag_parameters.get(name, value) != value for name, value in to_flat(run.parameters).items()):
         return _unchecked("Replayed with other parameters than live.")
     breaks = live.comparability.breaks
     if not live.compared and breaks:
@@ -151,19 +153,19 @@ def _check_position(run: Run, limits: VerdictLimits) -> Verdict:
     if run.states is None:
         why = run.replay.no_estimate or "Nothing to start from: no fix, no initial pose"
         return _make_verdict(False, "no estimate", f"{why[0].upper()}{why[1:]}.")
-    own, encoders = (run.replay.scores.get(name) for name in ("filter", "dead_reckoning"))
-    if own is None:
+    score, encoders = (run.replay.scores.get(name) for name in ("filter", "dead_reckoning"))
+    if score is None:
         return _unchecked("No reference in the bag (--reference names one).")
-    turned = "" if own.heading is None else f", {math.degrees(own.heading):.2f}°"
-    value = f"{100.0 * own.position:.1f} cm{turned} RMSE"
+    heading = "" if score.heading is None else f", {math.degrees(score.heading):.2f}°"
+    value = f"{100.0 * score.position:.1f} cm{heading} RMSE"
     if run.replay.no_estimate:
         return _make_verdict(False, value, f"No heading: {run.replay.no_estimate}.")
     if encoders is None:
-        return _make_verdict(own.position <= limits.position, value, f"Against {run.replay.reference}.")
-    words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * limits.position:g} cm, "
-    good = own.position <= min(limits.position, limits.encoders * encoders.position)
+        return _make_verdict(score.position <= limits.position, value, f"Against {run.replay.reference}.")
+    words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Required: {100.0 * limits.position:g} cm, "
+    is_good = score.position <= min(limits.position, limits.encoders * encoders.position)
     return _make_verdict(
-        good, value, f"{words}and at most {100.0 * limits.encoders:g} % of the encoders' error."
+        is_good, value, f"{words}and at most {100.0 * limits.encoders:g} % of the encoders' error."
     )
 
 
@@ -179,7 +181,7 @@ def _check_pose_consistency(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _check_innovations(run: Run, limits: VerdictLimits) -> Verdict:
-    ratios = {source: found.mean_ratio for source, found in innovations_of(run).items()}
+    ratios = {source: innovations.mean_ratio for source, innovations in innovations_of(run).items()}
     ratios = {source: ratio for source, ratio in ratios.items() if math.isfinite(ratio)}
     if not ratios:
         return _unchecked("No measurement was compared with the estimate.")
@@ -203,17 +205,17 @@ def _rate_consistency(limits: VerdictLimits, ratio: float, value: str, what: str
 def _check_slip(run: Run, limits: VerdictLimits) -> Verdict:
     if run.replay.slip_rmse is None:
         return _unchecked("The bag holds no true slips.")
-    words = f"Wanted: at most {PERCENT * limits.slip:g} %, left and right together, while they turn."
-    good = run.replay.slip_rmse <= limits.slip
-    return _make_verdict(good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
+    words = f"Required: at most {PERCENT * limits.slip:g} %, left and right together, while they turn."
+    is_good = run.replay.slip_rmse <= limits.slip
+    return _make_verdict(is_good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
 
 
 def _check_tracks(run: Run, _: VerdictLimits) -> Verdict:
     """Check that the tracks turned when commanded, without getting stuck."""
-    found = stuck_track_intervals(run)
-    if not found:
+    intervals = stuck_track_intervals(run)
+    if not intervals:
         return _unchecked("Neither hydraulics nor estimates of forces: stuck tracks cannot be detected.")
-    troubles = stuck_tracks_text(found)
+    troubles = stuck_tracks_text(intervals)
     if troubles:
         return _make_verdict(
             False, troubles, "Stalled: commanded and under pressure, not turning. Stuck: spinning."
@@ -239,20 +241,20 @@ def _check_rates(run: Run, limits: VerdictLimits) -> Verdict:
         return _make_verdict(False, "no sensor", "No sensor topic holds messages.")
     value = f"{len(lost)} sensors, at worst {PERCENT * max(lost.values()):.1f} % lost"
     bad = [f"{name} {PERCENT * share:.1f} %" for name, share in lost.items() if share > limits.lost]
-    words = f"Lost: {', '.join(bad)}." if bad else "Every sensor came at its usual rate."
+    words = f"Lost: {', '.join(bad)}." if bad else "Every sensor published at its usual rate."
     return _make_verdict(not bad, value, words)
 
 
 def _check_gaps(run: Run, _: VerdictLimits) -> Verdict:
     """Check for silence beyond which a source counts as lost."""
-    timings, allowed = run.recording.timings, silence_limits(run)
+    timings, limits = run.recording.timings, silence_limits(run)
     longest = {
-        name: timings[name].longest_interval for name in allowed if name in timings and timings[name].gaps
+        name: timings[name].longest_interval for name in limits if name in timings and timings[name].gaps
     }
     if not longest:
         return _make_verdict(True, "none", "No source of the estimator was silent.")
-    worst = max(longest, key=lambda name: longest[name] / allowed[name])
-    bad = [name for name in longest if longest[name] > allowed[name]]
+    worst = max(longest, key=lambda name: longest[name] / limits[name])
+    bad = [name for name in longest if longest[name] > limits[name]]
     words = (
         f"Lost: {', '.join(bad)}."
         if bad
@@ -276,31 +278,34 @@ def _check_rejections(run: Run, limits: VerdictLimits) -> Verdict:
     if not shares:
         return _make_verdict(True, *_all_used_texts(run, early))
     value = ", ".join(f"{source} {PERCENT * share:.2f} %" for source, share in shares.items())
-    good = max(shares.values()) <= limits.refused
+    is_good = max(shares.values()) <= limits.refused
     return _make_verdict(
-        good, value, f"Share not used; {PERCENT * limits.refused:g} % of a source is normal."
+        is_good, value, f"Share not used; {PERCENT * limits.refused:g} % of a source is normal."
     )
 
 
 def _rejection_counts(run: Run) -> dict[str, dict[str, int]]:
     """Source → reason → count of rejections in both estimators, without outcomes of used measurements."""
-    found = run.replay.rejected.by_source()
+    rejected = run.replay.rejected.by_source()
     if run.replay.soil is not None:
-        found = {**found, **run.replay.soil.rejected.by_source()}
+        rejected = {**rejected, **run.replay.soil.rejected.by_source()}
     return {
         source: {reason: n for reason, n in reasons.items() if reason not in _USED_OUTCOMES}
-        for source, reasons in found.items()
+        for source, reasons in rejected.items()
     }
 
 
 def _all_used_texts(run: Run, early: int) -> tuple[str, str]:
     """Value and words for a run without rejections since the start; ``early``: rejections before it."""
-    given = "replayed " if run.filters.changes_inputs else ""
+    replayed = "replayed " if run.filters.changes_inputs else ""
     hidden = sum(withheld.messages for withheld in run.replay.withheld)
-    beside = f" {hidden} were withheld." if hidden else ""
+    withheld_note = f" {hidden} were withheld." if hidden else ""
     if early:
-        return f"{early} before the start", f"Since the start every {given}measurement was used.{beside}"
-    return "none", f"Every {given}measurement was used.{beside}"
+        return (
+            f"{early} before the start",
+            f"Since the start every {replayed}measurement was used.{withheld_note}",
+        )
+    return "none", f"Every {replayed}measurement was used.{withheld_note}"
 
 
 def _sensor_topics(run: Run) -> list[str]:

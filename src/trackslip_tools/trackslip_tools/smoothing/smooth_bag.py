@@ -98,7 +98,7 @@ def smooth_bag(
     detailed = frozenset(requested) - {TRUE_SLIP, TRUE_ODOMETRY}
     measurements, series = read_sorted_inputs(bag, p, filters, requested, detailed)
     truth = _TruthReader(series, reference)
-    of_filter, of_smoother = (_EstimateErrors(p.vehicle.kinematics.tread) for _ in range(2))
+    filter_errors, smoother_errors = (_EstimateErrors(p.vehicle.kinematics.tread) for _ in range(2))
     count, stamps_ns = 0, [0, 0]
     for block in smoothed_blocks(measurements, p):
         if not len(block.smoothed):
@@ -109,12 +109,12 @@ def smooth_bag(
         ]
         count += len(block.smoothed)
         rows = truth.read_until(stamps_ns[1])
-        of_filter.add(block.filtered, rows)
-        of_smoother.add(block.smoothed, rows)
+        filter_errors.add(block.filtered, rows)
+        smoother_errors.add(block.smoothed, rows)
         watch(block)
-    found = of_filter.errors(), of_smoother.errors()
+    errors = filter_errors.errors(), smoother_errors.errors()
     duration_s = (stamps_ns[1] - stamps_ns[0]) * 1e-9
-    return SmoothedBag(count, duration_s, reference, *found)
+    return SmoothedBag(count, duration_s, reference, *errors)
 
 
 def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
@@ -135,15 +135,15 @@ class _TruthReader:
 
     def read_until(self, stamp_ns: int) -> list[Rows | None]:
         """Rows of true slips, true odometry and reference, from the end of the previous piece to a stamp."""
-        found: list[Rows | None] = []
+        pieces: list[Rows | None] = []
         for k, series in enumerate(self._series):
             if series is None:
-                found.append(None)
+                pieces.append(None)
                 continue
             end = int(np.searchsorted(series.stamps_ns, stamp_ns, side="right"))
-            found.append(series.rows[self._begin[k] : end])
+            pieces.append(series.rows[self._begin[k] : end])
             self._begin[k] = end
-        return found
+        return pieces
 
 
 class _EstimateErrors:

@@ -53,19 +53,19 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
     """
     p = replace(p, filter="ekf")
     start, config = start_of_log(log, p, best_branch_script(log, p))
-    begins = [
+    starts = [
         _BlockStart(b.first, b.first + len(b.states), _first_entry(b.window))
         for b in run_blocks(log.rest, start, config)
     ]
     carried: Records | None = None  # smoothed first entry of the last block done
     ends: list[Records | None] = []
-    for begin in reversed(begins):
+    for block_start in reversed(starts):
         ends.append(carried)
-        block = _recompute_block(log, begin, config)
+        block = _recompute_block(log, block_start, config)
         _smooth(block.window, carried, config)
         carried = block.window.best[:1].copy()
-    for begin, end in zip(begins, reversed(ends), strict=True):
-        block = _recompute_block(log, begin, config)
+    for block_start, end in zip(starts, reversed(ends), strict=True):
+        block = _recompute_block(log, block_start, config)
         filtered = _estimates(block.window, config)
         _smooth(block.window, end, config)
         yield Smoothed(filtered, _estimates(block.window, config))
@@ -79,8 +79,8 @@ def _first_entry(window: Window) -> Window:
     return first
 
 
-def _recompute_block(log: Log, begin: _BlockStart, config: Records) -> Block:
-    return next(run_blocks(log.rest[begin.first : begin.last], begin.start, config))
+def _recompute_block(log: Log, block_start: _BlockStart, config: Records) -> Block:
+    return next(run_blocks(log.rest[block_start.first : block_start.last], block_start.start, config))
 
 
 def _smooth(window: Window, end: Records | None, config: Records) -> None:
@@ -122,9 +122,9 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
 
 @compiled
 def _fill_estimates(window: Window, count: int, estimates: Records, config: Records) -> int:
-    found = 0
+    size = 0
     for k in range(1, count):
         if window.measurements[k].kind == SPROCKETS:
-            fill_estimate(window.states[0, k], config[0], estimates[found])
-            found += 1
-    return found
+            fill_estimate(window.states[0, k], config[0], estimates[size])
+            size += 1
+    return size

@@ -36,9 +36,11 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
         InputError: the folder cannot be written.
     """
     values = to_flat(change_parameters(p, tuning.values))
-    found = {full: values[full] for tuned in tuning.values for full in matching_names(p, tuned)}
+    tuned_values = {
+        full_name: values[full_name] for name in tuning.values for full_name in matching_names(p, name)
+    }
     text = f"{FILE_PREFIXES[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
-    text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(found)}}, sort_keys=False)
+    text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(tuned_values)}}, sort_keys=False)
     make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
     write_file("output", folder / TABLE, f"{FILE_PREFIXES[TABLE]}\n\n{table(tuning)}\n")
@@ -90,8 +92,8 @@ def table(tuning: Tuning) -> str:
     )
     if tuning.folds:
         notes += " Unseen: with the values found on the other bags alone, whose range the first table gives."
-        worse = "" if tuning.improves_unseen else "not "
-        notes += f"\n\nBags that were left out are {worse}better off on average."
+        negation = "" if tuning.improves_unseen else "not "
+        notes += f"\n\nBags that were left out are {negation}better off on average."
     parts = (
         *markdown_table(["parameter", "before", "after", "without one bag"], values, 1),
         "",

@@ -32,20 +32,20 @@ class Journal:
         self._scores: dict[tuple[int, Values], Score] = {}
         heading = {"names": list(names), "of": _fingerprint(tasks)}
         try:
-            known = [entry for entry in map(parse_line, read_lines(path)) if entry is not None]
-            if known and known[0] != heading:
+            entries = [entry for entry in map(parse_line, read_lines(path)) if entry is not None]
+            if entries and entries[0] != heading:
                 raise InputError(
                     f"'{path}' is of other bags or parameters; accepted: another --output, or remove it"
                 )
-            for entry in known[1:]:
+            for entry in entries[1:]:
                 self._scores[_key(entry, len(heading["names"]))] = make_record(Score, entry["score"])
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("w" if not known else "a", encoding="utf-8")
+            self._file = path.open("w" if not entries else "a", encoding="utf-8")
         except OSError as error:
             raise InputError(f"journal '{path}' cannot be used ({error.strerror})") from error
         except (KeyError, TypeError) as error:
             raise InputError(f"'{path}' is no journal of tune; accepted: another --output") from error
-        if not known:
+        if not entries:
             self._write(heading)
 
     def __enter__(self) -> "Journal":

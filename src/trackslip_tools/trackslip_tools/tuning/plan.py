@@ -54,10 +54,10 @@ class Bounds(Parameters):
 
     def share(self, value: float) -> float:
         """The share of the range at which a value lies, 0 … 1; values outside are clipped."""
-        inside = min(max(value, self.low), self.high)
+        clipped = min(max(value, self.low), self.high)
         if self.scale == "log":
-            return math.log(inside / self.low) / math.log(self.high / self.low)
-        return (inside - self.low) / (self.high - self.low)
+            return math.log(clipped / self.low) / math.log(self.high / self.low)
+        return (clipped - self.low) / (self.high - self.low)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,14 +95,14 @@ def read_plan(path: Path) -> Plan:
         InputError: the file cannot be read, a name is no number of slip_estimator, or a value is rejected.
     """
     tree = read_yaml(path)
-    requested = tree.pop("parameters", None)
-    if not isinstance(requested, Mapping) or not requested:
+    entries = tree.pop("parameters", None)
+    if not isinstance(entries, Mapping) or not entries:
         raise InputError(
             f"{path}: parameters: nothing to tune; accepted: name: {{low: …, high: …, scale: log}}"
         )
     return Plan(
         from_flat(SearchSettings, tree, str(path)),
-        {str(name): _parse_bounds(f"{path}: {name}", str(name), given) for name, given in requested.items()},
+        {str(name): _parse_bounds(f"{path}: {name}", str(name), entry) for name, entry in entries.items()},
     )
 
 
@@ -122,11 +122,11 @@ def matching_names(p: SlipEstimatorParameters, name: str) -> list[str]:
     Raises:
         InputError: no parameter matches.
     """
-    found = fnmatch.filter((n for n, kind, _ in flat_fields(p) if kind is float), name)
-    if not found:
+    names = fnmatch.filter((n for n, kind, _ in flat_fields(p) if kind is float), name)
+    if not names:
         accepted = ", ".join(f"sources.{group}" for group in p.sources) or "none, there are no sources"
         raise InputError(f"{name}: no such source to tune; accepted: {accepted}")
-    return found
+    return names
 
 
 def change_parameters(p: SlipEstimatorParameters, values: Mapping[str, float]) -> SlipEstimatorParameters:
@@ -147,14 +147,16 @@ def _tunable_parameters() -> dict[str, Spec]:
     return {name: spec for name, kind, spec in fields if kind is float and name != _AT_READING}
 
 
-def _parse_bounds(where: str, name: str, given: object) -> Bounds:
-    numbers, known = _tunable_parameters(), re.sub(r"^sources\.[^.]+\.", "sources.*.", name)
-    if known not in numbers:
-        raise InputError(f"{where}: not to be tuned{suggestion(known, numbers)}")
-    if not isinstance(given, Mapping):
-        raise InputError(f"{where}: {given!r} gives no bounds; accepted: {{low: …, high: …, scale: log}}")
-    bounds = from_flat(Bounds, {"scale": "linear", **given}, where)
+def _parse_bounds(where: str, name: str, entry: object) -> Bounds:
+    tunable, pattern = _tunable_parameters(), re.sub(r"^sources\.[^.]+\.", "sources.*.", name)
+    if pattern not in tunable:
+        raise InputError(f"{where}: not to be tuned{suggestion(pattern, tunable)}")
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{where}: {entry!r} gives no bounds; accepted: {{low: …, high: …, scale: log}}")
+    bounds = from_flat(Bounds, {"scale": "linear", **entry}, where)
     for end in (bounds.low, bounds.high):
-        if not numbers[known].accepts(end):
-            raise InputError(f"{where}: {end:g} is out of range; accepted: {numbers[known].accepted_range()}")
+        if not tunable[pattern].accepts(end):
+            raise InputError(
+                f"{where}: {end:g} is out of range; accepted: {tunable[pattern].accepted_range()}"
+            )
     return bounds

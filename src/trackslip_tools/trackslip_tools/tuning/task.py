@@ -81,21 +81,21 @@ class Task:
             InputError: a value is rejected.
         """
         p = change_parameters(self.p, values)
-        keep = self._is_near_reference()
-        result = _run_filter(self.log, p, keep)
-        errors = self._reference_errors(self.log.rest["stamp_ns"][keep], result)
+        is_scored = self._is_near_reference()
+        result = _run_filter(self.log, p, is_scored)
+        errors = self._reference_errors(self.log.rest["stamp_ns"][is_scored], result)
         return Score(*result.innovations.score(), *errors)
 
     def _is_near_reference(self) -> BoolArray:
         """(k,) whether an entry is a sprocket sample (with an estimate) next to a sample of the reference."""
         rest = self.log.rest
-        keep = np.zeros(len(rest), dtype=np.bool_)
+        is_near = np.zeros(len(rest), dtype=np.bool_)
         published = np.flatnonzero(rest["kind"] == SPROCKETS)
         if self.reference is not None and published.size:
             after = np.searchsorted(rest["stamp_ns"][published], self.reference.stamps_ns)
-            keep[published[np.clip(after, 0, published.size - 1)]] = True
-            keep[published[np.clip(after - 1, 0, published.size - 1)]] = True
-        return keep
+            is_near[published[np.clip(after, 0, published.size - 1)]] = True
+            is_near[published[np.clip(after - 1, 0, published.size - 1)]] = True
+        return is_near
 
     def _reference_errors(self, stamps_ns: IntArray, result: _Run) -> tuple[float, float, float, float]:
         """The last four fields of a ``Score``."""
@@ -130,22 +130,22 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
         InputError: no measurement can start the filter.
     """
     if reference is not None:
-        every = -(-len(reference.stamps_ns) // _MAX_REFERENCE_SAMPLES) or 1
-        R = None if reference.covariances is None else reference.covariances[::every]
-        reference = Path(reference.stamps_ns[::every], reference.poses[::every], R)
+        stride = -(-len(reference.stamps_ns) // _MAX_REFERENCE_SAMPLES) or 1
+        R = None if reference.covariances is None else reference.covariances[::stride]
+        reference = Path(reference.stamps_ns[::stride], reference.poses[::stride], R)
     return Task(name, make_log(arrivals, p), p, reference)
 
 
-def _run_filter(log: Log, p: SlipEstimatorParameters, keep: BoolArray) -> _Run:
-    """Innovations of one run over a log, and the poses after the entries to ``keep`` (k,)."""
+def _run_filter(log: Log, p: SlipEstimatorParameters, is_scored: BoolArray) -> _Run:
+    """Innovations of one run over a log, and the poses after the entries where ``is_scored`` (k,)."""
     innovations = _Innovations(list(p.timeouts_ns()))
     means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
     for block in run_log(log, p):
         stretch = slice(block.first, block.first + len(block.states))
         innovations.add(log.rest["source"][stretch], block.updates)
-        kept = keep[stretch]
-        means.append(block.states["mean"][kept][:, POSE])
-        covariances.append(block.states["covariance"][kept][:, POSE, POSE])
+        is_scored_here = is_scored[stretch]
+        means.append(block.states["mean"][is_scored_here][:, POSE])
+        covariances.append(block.states["covariance"][is_scored_here][:, POSE, POSE])
     return _Run(innovations, np.concatenate(means), np.concatenate(covariances))
 
 
@@ -159,22 +159,22 @@ class _Innovations:
 
     def add(self, sources: IntArray, updates: Records) -> None:
         """Add (k,) sources and (k,) updates."""
-        measured = updates["dof"] > 0
-        sources, found = sources[measured], updates[measured]
-        dof, nis = found["dof"], found["nis"]
-        normal = -0.5 * (nis + found["log_determinant"] + dof * math.log(2.0 * math.pi)) + math.log1p(
-            -_OUTLIER_SHARE
-        )
+        is_measured = updates["dof"] > 0
+        sources, measured_updates = sources[is_measured], updates[is_measured]
+        dof, nis = measured_updates["dof"], measured_updates["nis"]
+        normal = -0.5 * (
+            nis + measured_updates["log_determinant"] + dof * math.log(2.0 * math.pi)
+        ) + math.log1p(-_OUTLIER_SHARE)
         normal[np.isnan(normal)] = -np.inf
         self._likelihood += float(np.sum(np.logaddexp(normal, np.log(_OUTLIER_SHARE * _DENSITIES)[dof])))
         self._count += len(dof)
-        named = sources < len(self._names)  # a manual pose has no source
-        sources, nis, dof = sources[named], nis[named], dof[named]
-        accepted = found["outcome"][named] == Outcome.ACCEPTED
+        has_source = sources < len(self._names)  # a manual pose has no source
+        sources, nis, dof = sources[has_source], nis[has_source], dof[has_source]
+        is_accepted = measured_updates["outcome"][has_source] == Outcome.ACCEPTED
         size = len(self._names)
-        self._nis += np.bincount(sources[accepted], nis[accepted], size)
-        self._dof += np.bincount(sources[accepted], dof[accepted], size)
-        self._rejected += np.bincount(sources[~accepted], minlength=size)
+        self._nis += np.bincount(sources[is_accepted], nis[is_accepted], size)
+        self._dof += np.bincount(sources[is_accepted], dof[is_accepted], size)
+        self._rejected += np.bincount(sources[~is_accepted], minlength=size)
         self._seen += np.bincount(sources, minlength=size)
 
     def score(self) -> tuple[float, dict[str, float], dict[str, int]]:
@@ -202,10 +202,10 @@ def read_task(
     """
     reference = reference or default_reference(bag)
     requested = (reference,) if reference else ()
-    measurements, found = read_sorted_inputs(
+    measurements, series_of_topics = read_sorted_inputs(
         bag, p, filters, requested, frozenset(requested) - {TRUE_ODOMETRY}
     )
-    series = found.get(reference or "")
+    series = series_of_topics.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")
     return make_task(str(bag.path), measurements, p, None if series is None else path_of_series(series))

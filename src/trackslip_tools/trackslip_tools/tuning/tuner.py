@@ -45,9 +45,9 @@ class Tuning:
     def improves_unseen(self) -> bool:
         """Whether the left-out bags improve on average; without folds, whether all bags do on average."""
         objective = self.plan.settings.objective
-        then = [fold.score for fold in self.folds] or self.after
+        scores = [fold.score for fold in self.folds] or self.after
         changes = [
-            cost(objective, score) - cost(objective, self.before[bag]) for bag, score in enumerate(then)
+            cost(objective, score) - cost(objective, self.before[bag]) for bag, score in enumerate(scores)
         ]
         return sum(changes) <= 0.0
 
@@ -69,13 +69,13 @@ class Tuner:
 
     def run(self, cross_validate: bool) -> Tuning:
         """Tune over all bags and, with ``cross_validate``, over all but each."""
-        everyone = range(len(self._tasks))
+        all_bags = range(len(self._tasks))
         start = np.mean([self._plan.shares(task.p) for task in self._tasks], axis=0)
-        best = self._search(everyone, start)
+        best = self._search(all_bags, start)
         folds = []
         if cross_validate and len(self._tasks) > 1:
-            for left_out in everyone:
-                values = self._search([bag for bag in everyone if bag != left_out], start)
+            for left_out in all_bags:
+                values = self._search([bag for bag in all_bags if bag != left_out], start)
                 folds.append(Fold(left_out, values, self._scores([values], [left_out])[0][0]))
         return Tuning(
             self._plan,
@@ -83,7 +83,7 @@ class Tuner:
             {name: value_of(self._tasks[0].p, name) for name in self._plan.bounds},
             best,
             [task.score({}) for task in self._tasks],
-            self._scores([best], everyone)[0],
+            self._scores([best], all_bags)[0],
             folds,
         )
 

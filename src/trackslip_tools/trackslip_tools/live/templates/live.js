@@ -27,7 +27,7 @@ let lines = [], strips = [] // strips: {lines, rows to draw, whether the strip i
 async function begin() {
   setInterval(watch, WATCH)
   document.addEventListener("visibilitychange", watch) // browsers slow down the timers of hidden pages
-  const page = await described()
+  const page = await fetch_description()
   const id = "live"
   const roots = Object.fromEntries(Object.entries(page.plots).map(([element, model]) => [model, element]))
   await Bokeh.embed.embed_items({[id]: page.document}, [{docid: id, roots, root_ids: Object.keys(roots)}])
@@ -44,7 +44,7 @@ async function begin() {
   connect()
 }
 
-async function described() {
+async function fetch_description() {
   for (;;) {
     try {
       const answer = await fetch("page.json")
@@ -69,7 +69,7 @@ function watch() {
   if (quiet > PATIENCE) {
     document.body.classList.add("outdated")
     const since = shown_at === null ? "" : ` since ${clock(shown_at)}`
-    tell_link("silent", `no data${since} (${Math.floor(quiet / 1000)} s)`)
+    show_link("silent", `no data${since} (${Math.floor(quiet / 1000)} s)`)
   }
   const connects = socket !== null && socket.readyState === WebSocket.CONNECTING // a busy server needs longer
   if (socket !== null && now - Math.max(shown, connected) > (connects ? 3 : 1) * GIVEN_UP) {
@@ -78,9 +78,9 @@ function watch() {
   }
 }
 
-function tell_link(look, text) {
+function show_link(state, text) {
   const link = by_id("link")
-  link.className = `light ${look}`
+  link.className = `light ${state}`
   if (link.textContent !== text) link.textContent = text
 }
 
@@ -93,8 +93,8 @@ function show(frame) {
   shown = performance.now()
   shown_at = frame.time
   document.body.classList.remove("outdated")
-  if (frame.ended === undefined) tell_link("ok", "live")
-  else tell_link("ended", frame.ended)
+  if (frame.ended === undefined) show_link("ok", "live")
+  else show_link("ended", frame.ended)
   document.documentElement.dataset.frames = String(Number(document.documentElement.dataset.frames ?? 0) + 1)
 }
 
@@ -189,7 +189,7 @@ function show_now(frame) {
   const is_whole = frame.run !== undefined
   if (frame.number % DRAWN === 0 || is_whole) show_strips(frame.time, is_whole)
   if (frame.outlines.machine[0].length) machine = frame.outlines.machine
-  look()
+  update_view()
   show_setup(frame.setup)
   show_lights(frame.lights)
   show_classes(frame.classes)
@@ -203,7 +203,7 @@ function middle(low, high) {
   return (low + high) / 2
 }
 
-function look() {
+function update_view() {
   const plot = models("path")
   const [width, height] = [plot.inner_width, plot.inner_height]
   if (!width || !height) return
@@ -223,12 +223,12 @@ function look() {
 function zoom(factor) {
   const {start, end} = models("path").x_range
   across = Math.min(Math.max((across ?? end - start) * factor, CLOSEST), WIDEST)
-  look()
+  update_view()
 }
 
 // Lists
 
-function matched(list, count, make) {
+function fit_children(list, count, make) {
   while (list.children.length > count) list.lastChild.remove()
   while (list.children.length < count) list.append(make())
   return [...list.children]
@@ -251,7 +251,7 @@ function show_setup(text) {
 }
 
 function show_lights(lights) {
-  matched(by_id("lights"), lights.length, light_item).forEach((item, k) => {
+  fit_children(by_id("lights"), lights.length, light_item).forEach((item, k) => {
     const [name, level, message, rate, age] = lights[k]
     const parts = [rate === null ? "" : `${rate.toFixed(1)} Hz`, age === null ? "" : `${age.toFixed(1)} s ago`]
     const texts = {name, state: WORDS[level], reason: message, numbers: parts.filter(Boolean).join(" · ")}
@@ -261,10 +261,10 @@ function show_lights(lights) {
 }
 
 function show_classes(classes) {
-  matched(by_id("classes"), classes.length, () => element("li", "", element("span"), element("span"))).forEach((item, k) => {
-    const [name, chance, is_sure] = classes[k]
-    item.className = is_sure ? "sure" : ""
-    const mark = k === 0 && !is_sure ? "undetermined; likeliest: " : ""
+  fit_children(by_id("classes"), classes.length, () => element("li", "", element("span"), element("span"))).forEach((item, k) => {
+    const [name, chance, is_certain] = classes[k]
+    item.className = is_certain ? "certain" : ""
+    const mark = k === 0 && !is_certain ? "undetermined; likeliest: " : ""
     item.firstChild.textContent = mark + name.replaceAll("_", " ")
     item.lastChild.textContent = chance === null ? "–" : `${(100 * chance).toFixed(0)} %`
   })
@@ -316,7 +316,7 @@ function text_of(value, low, high, unit) {
 
 by_id("closer").addEventListener("click", () => zoom(1 / 1.6))
 by_id("wider").addEventListener("click", () => zoom(1.6))
-by_id("all").addEventListener("click", () => { across = null; look() })
+by_id("all").addEventListener("click", () => { across = null; update_view() })
 by_id("windows").addEventListener("click", ({target}) => {
   if (target.dataset.seconds === undefined) return
   window_ms = 1000 * Number(target.dataset.seconds)

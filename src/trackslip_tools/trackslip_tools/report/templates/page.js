@@ -4,10 +4,10 @@
 // those of the dark page.
 
 const LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]))
-const wish = matchMedia("(prefers-color-scheme: dark)")
-let dark = wish.matches
+const preference = matchMedia("(prefers-color-scheme: dark)")
+let dark = preference.matches
 
-function exchanged(model, colours) {
+function exchanged_colours(model, colours) {
   const changes = {}
   for (const name in model.properties) {
     if (!name.endsWith("_color")) continue
@@ -20,7 +20,7 @@ function exchanged(model, colours) {
 function paint() {
   document.documentElement.dataset.theme = dark ? "dark" : "light"
   for (const {all_models} of Bokeh.documents) {
-    for (const model of all_models) model.setv(exchanged(model, dark ? DARK : LIGHT))
+    for (const model of all_models) model.setv(exchanged_colours(model, dark ? DARK : LIGHT))
   }
 }
 
@@ -30,11 +30,11 @@ function choose(asDark) {
 }
 
 document.getElementById("theme").addEventListener("click", () => choose(!dark))
-wish.addEventListener("change", () => choose(wish.matches))
+preference.addEventListener("change", () => choose(preference.matches))
 paint()
-const drawn = setInterval(() => {
+const first_painting = setInterval(() => {
   if (Bokeh.documents.length > 0) {
-    clearInterval(drawn)
+    clearInterval(first_painting)
     if (dark) paint()
   }
 }, 20)

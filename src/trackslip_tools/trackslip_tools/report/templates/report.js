@@ -93,9 +93,9 @@ for (const [id, act] of [["time-zoom", zoom_time], ["path-zoom", zoom_path]]) {
   })
 }
 
-const there = setInterval(() => {
+const loading = setInterval(() => {
   if (Bokeh.documents.length === 0 || !Bokeh.documents[0].is_idle) return
-  clearInterval(there)
+  clearInterval(loading)
   if (innerWidth < NARROW) narrow()
   leave_fingers_to_the_page()
   let is_mouse = null
