@@ -59,7 +59,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
             "restarts": restarts,
             **rejected,
         }
-        values["track of the run before"] = "gone on with" if self._localizer.resumed else "not used"
+        values["track of the run before"] = "continued" if self._localizer.resumed else "not used"
         if self._file.failure:
             values["track file"] = self._file.failure
         if self._scans == scans:
