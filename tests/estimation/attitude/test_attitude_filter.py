@@ -71,7 +71,7 @@ class Ride:
         force[:, 2] -= q * self.speed
         found["force"] = force + self.random.normal(0.0, noise, force.shape)
         found["force_variance"] = 0.05**2
-        found["velocity"][:, 0], found["known_velocity"], found["levels"] = self.speed, 1, 1
+        found["velocity"][:, 0], found["known_velocity"], found["use_force"] = self.speed, 1, 1
         return found
 
 
@@ -172,7 +172,7 @@ def test_acceleration_that_is_not_gravity_leaves_the_ground_flat(force: Any, wor
     samples = Ride(5.0).samples()
     samples["force"] = force
     attitude, found = run(samples)
-    assert attitude["known"] == attitude["level"]["tilted"] == 0
+    assert attitude["known"] == attitude["level"]["known"] == 0
     assert not found.any()
     text = attitude_text(attitude, TOPIC)
     assert text.startswith("flat: ")

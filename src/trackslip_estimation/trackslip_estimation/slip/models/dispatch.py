@@ -213,7 +213,7 @@ def linearize(
     slope.horizontal_jacobian(J, drive.attitude.level)
     turns = has_velocity_errors(c) and drive.motion.motion == _IS_TURNING
     slope.add_slope_noise(Q, dt, turns, drive.attitude.level)
-    if c.model == _TURNING and drive.attitude.level.tilted == 1:
+    if c.model == _TURNING and drive.attitude.level.known == 1:
         distance = slope.track_speed((left, right), c) * dt
         turning.add_slope_noise(Q, distance, drive.attitude.level.downhill_y)
     halfway = x[YAW] + rate * dt / 2.0

@@ -83,7 +83,7 @@ def update_height(state: State, measurement: MeasurementRecord, c: Config) -> in
     a.covariance[HEIGHT, HEIGHT] += spread
     correct(a.mean[:], a.covariance[:], o)
     set_level(a)
-    a.climb.used_ns, a.climb.refused = measurement.stamp_ns, 0
+    a.climb.used_ns, a.climb.rejections = measurement.stamp_ns, 0
     return 0
 
 
@@ -131,11 +131,12 @@ def _is_persistent(
     climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
 ) -> bool:
     """Whether this altitude, outside the gate, completes a series of altitudes that agree."""
-    apart = innovation - climb.apart
-    if climb.refused == 0 or apart * apart > 2.0 * c.gate_limits[1] * stated:
-        climb.refused, climb.rejected_ns, climb.apart = 0, measurement.stamp_ns, innovation
-    climb.refused += 1
+    difference = innovation - climb.innovation
+    if climb.rejections == 0 or difference * difference > 2.0 * c.gate_limits[1] * stated:
+        climb.rejections, climb.rejected_ns, climb.innovation = 0, measurement.stamp_ns, innovation
+    climb.rejections += 1
     lasted_ns = measurement.stamp_ns - climb.rejected_ns
     return bool(
-        climb.refused >= _LEAST_AGREEING and lasted_ns >= _LEAST_AGREEING * c.timeouts_ns[measurement.source]
+        climb.rejections >= _LEAST_AGREEING
+        and lasted_ns >= _LEAST_AGREEING * c.timeouts_ns[measurement.source]
     )
