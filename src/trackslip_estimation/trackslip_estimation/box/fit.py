@@ -44,7 +44,7 @@ TEMPERATURES = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
 WIDENING = 1.3  # factor of the spread found in the previous round
 LEAST_SPREAD = 0.2  # share of the intervals of the ends: least spread of the first round
 FEWEST_SAMPLES = 4.0  # effective number of samples below which a round has no effect
-LEAST_LOG, TINY = -1e300, 1e-300  # for weights that are all zero
+LEAST_LOG, TINY = -1e300, 1e-300  # least logarithm and sum of the weights, in case all are zero
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,14 @@ def starting_poses(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatA
     intervals = np.array((beams.right, beams.left))
     ends, weights = intervals.sum(axis=1) / 2.0, (intervals[:, 1] - intervals[:, 0]) ** -2.0
     share = weights / weights.sum()
-    middle = float(share @ ends)
+    mean_bearing = float(share @ ends)
     distance = np.full(headings.shape, float(beams.ranges.mean()) + 0.25 * (box.length + box.width))
-    bearing = np.full(headings.shape, middle)
+    bearing = np.full(headings.shape, mean_bearing)
     for _ in range(2):
         poses = _polar_poses(distance, bearing, headings)
         ranges, outline = cast_rays(poses, box.half, beams.directions)
         distance = distance + (beams.ranges - ranges).mean(axis=1)
-        bearing = bearing + middle - outline @ share
+        bearing = bearing + mean_bearing - outline @ share
     return _polar_poses(distance, bearing, headings)
 
 
@@ -117,9 +117,9 @@ def fit_pose(
     start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float, steps: int = 20
 ) -> Optimum:
     """Return the optimum after at most ``steps`` of damped Gauss–Newton from a pose (3,) near the box."""
-    least = _descend(start, fit_input(box, beams, range_stddev), steps)
-    information = least.information + LEAST_INFORMATION * np.eye(3)
-    return Optimum(least.pose, information, least.cost, len(beams.ranges) + 2 - 3)
+    minimum = _descend(start, fit_input(box, beams, range_stddev), steps)
+    information = minimum.information + LEAST_INFORMATION * np.eye(3)
+    return Optimum(minimum.pose, information, minimum.cost, len(beams.ranges) + 2 - 3)
 
 
 @compiled
