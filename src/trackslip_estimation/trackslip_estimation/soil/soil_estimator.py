@@ -115,7 +115,7 @@ class SoilEstimator:
         return None if math.isnan(efficiency) else efficiency
 
     @property
-    def is_stuck(self) -> tuple[bool, bool]:
+    def stuck(self) -> tuple[bool, bool]:
         """Whether the left and the right track are getting stuck: spinning at the limit of the soil."""
         left, right = self._known["spinning"] >= self.parameters.stuck_time
         return bool(left), bool(right)
