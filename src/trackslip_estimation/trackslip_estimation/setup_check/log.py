@@ -29,7 +29,7 @@ class Machine(NamedTuple):
 class Counts(NamedTuple):
     """Angle of one count of the sprocket encoders, rad; 0: no counts."""
 
-    shown: float = 0.0  # by positions or speeds
+    measured: float = 0.0  # by positions or speeds
     stated: float = 0.0
 
 
@@ -109,7 +109,6 @@ class Log:
     fixes: tuple[Fixes, ...] = ()
     compasses: tuple[Compass, ...] = ()
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
-    left_out: dict[str, int] = field(default_factory=dict)  # topic → number of invalid readings
     counts: Counts = Counts()
     per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
 
