@@ -73,8 +73,8 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Suffix of "'word' is unknown": the most similar known word; empty if none is similar."""
     from difflib import get_close_matches  # loaded only after a mistyped word
 
-    found = get_close_matches(word, list(known), n=1, cutoff=_MIN_SIMILARITY)
-    return f", did you mean '{found[0]}'?" if found else ""
+    matches = get_close_matches(word, list(known), n=1, cutoff=_MIN_SIMILARITY)
+    return f", did you mean '{matches[0]}'?" if matches else ""
 
 
 def suggestion(word: str, known: Iterable[str], more: str = "") -> str:
