@@ -177,7 +177,7 @@ def _remove_wrong_headings(drive: Drive, findings: _Findings) -> Drive:
     compass = drive.compass
     if compass is None or drive.gyro is None:
         return drive
-    scale = turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
+    scale = turn_scale(drive.turn, drive.tracks_over_tread)
     turned = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
     factor, gain = heading_unit(compass, drive.grid.edges, turned)
     is_known = count_turns(drive.turn - drive.turn_fit.bias * WINDOW) >= LEAST_TURNS

@@ -91,7 +91,7 @@ class Drive:
     def unbiased_turn(self) -> FloatArray:
         """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
         known = np.isfinite(self.turn) & np.isfinite(self.tracks_over_tread).all(axis=1)
-        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known], WINDOW) * WINDOW
+        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known]) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:
@@ -121,7 +121,7 @@ class Drive:
     @cached_property
     def turn_fit(self) -> TurnFit:
         """Fit of the turns of the gyro by the tracks."""
-        return fit_turns(self.turn, self.tracks_over_tread, WINDOW)
+        return fit_turns(self.turn, self.tracks_over_tread)
 
     @cached_property
     def gyro_turn(self) -> FloatArray:

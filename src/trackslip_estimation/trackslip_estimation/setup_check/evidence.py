@@ -26,7 +26,7 @@ def gather_evidence(drive: Drive) -> Evidence:
         _gyro_path_logs(drive),
         _track_path_logs(drive),
         _heading_logs(drive),
-        fit_turns(heading_turn, drive.tracks_over_tread, WINDOW).logs
+        fit_turns(heading_turn, drive.tracks_over_tread).logs
         if has_heading and not has_gyro
         else np.zeros(4),
         _course_log_table(drive) if has_heading else np.zeros((len(ASSIGNMENTS), 2, 2)),

@@ -87,15 +87,15 @@ def covered_cells(t: FloatArray, edges: FloatArray) -> BoolArray:
     return np.asarray(is_covered & (edges[1:] <= t[-1] + 1e-9))
 
 
-def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> FloatArray:
-    """(w, …) sums of (m, …) values over windows of ``length`` s."""
-    size = max(round(length / grid.cell), 1)
+def window_sums(grid: Grid, values: FloatArray) -> FloatArray:
+    """(w, …) sums of (m, …) values over windows of ``WINDOW`` s."""
+    size = max(round(WINDOW / grid.cell), 1)
     count = len(values) // size
     shaped = values[: count * size].reshape(count, size, *values.shape[1:])
     return np.asarray(shaped.sum(axis=1))
 
 
-def window_edges(grid: Grid, length: float = WINDOW) -> FloatArray:
+def window_edges(grid: Grid) -> FloatArray:
     """(w + 1,) edges of the windows, s."""
-    size = max(round(length / grid.cell), 1)
+    size = max(round(WINDOW / grid.cell), 1)
     return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]

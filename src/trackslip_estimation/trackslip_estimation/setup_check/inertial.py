@@ -87,7 +87,7 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
     gyro = replace(gyro, rates=gyro.rates / factor)
     drive = drive.with_gyro(gyro)
     turn, tracks = drive.turn, drive.tracks_over_tread
-    scale, ratio = turn_scale(turn, tracks, WINDOW), turn_ratio(turn, tracks)
+    scale, ratio = turn_scale(turn, tracks), turn_ratio(turn, tracks)
     if scale > EFFICIENCY[1] or ratio > _MOST_TURN:
         times = f"{max(np.nan_to_num(scale), ratio):.3g} times as much as"
         also = _confirming_odometer(drive, scale) if is_unit_known else ""
@@ -182,11 +182,11 @@ def _axis_gains(turns: FloatArray, x: FloatArray, heading_turn: FloatArray) -> _
     """Evidence for each axis, of turns (w, 3) in windows."""
     axes = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
     for axis in range(3):
-        scale = turn_scale(turns[:, axis], x, WINDOW)
+        scale = turn_scale(turns[:, axis], x)
         if np.isfinite(turns[:, axis]).sum() < _LEAST_AXIS or not scale > 0.0:
             continue
         axes.units[axis] = max(_fitting_unit(scale)[1], 1.0)  # a small turn is a tilt, no other unit
-        axes.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, axes.units[axis]).logs.max()
+        axes.by_tracks[axis] = fit_turns(turns[:, axis], x, axes.units[axis]).logs.max()
         by_heading = turn_logs(heading_turn, turns[:, axis] / axes.units[axis])
         axes.gains[axis] = axes.by_tracks[axis] + max(by_heading[:2].max() - by_heading[2], 0.0)
     return axes
@@ -207,7 +207,7 @@ def _remount(
 def _heading_range(turn: FloatArray, x: FloatArray) -> float:
     """Range of the heading by turns (w,) in windows, less their bias, rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y = turn[usable] - median_bias(turn[usable], x[usable], WINDOW) * WINDOW
+    y = turn[usable] - median_bias(turn[usable], x[usable]) * WINDOW
     return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
 
 
@@ -228,7 +228,7 @@ def turn_ratio(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the gyro over the largest turn that tracks of any signs explain; 0 for half a turn or less."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
-    y = np.abs(y - median_bias(y, x, WINDOW) * WINDOW)
+    y = np.abs(y - median_bias(y, x) * WINDOW)
     most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
     total = float(y.sum())
     return total / (float(most.sum()) + 0.5) if total > np.pi else 0.0
@@ -274,11 +274,11 @@ def _judge_unit(
     unit, unless the distance of the fixes shows theirs, or no machine turns as fast as the gyro.
     """
     turn, x = drive.turn, drive.tracks_over_tread
-    scale = turn_scale(turn, x, WINDOW)
+    scale = turn_scale(turn, x)
     name, factor = _fitting_unit(scale, _scale_by_heading(drive))
     if factor == 1.0:
         return 1.0, None, []
-    gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
+    gain = float(fit_turns(turn, x, factor).logs.max())
     if count_turns(turn / factor) < LEAST_TURNS:
         return 1.0, None, []
     log_ratio = _unit_log_ratio(drive, factor)
@@ -329,7 +329,7 @@ def _is_unit_confirmed(drive: Drive) -> bool:
     scale_by_heading = _scale_by_heading(drive)
     if scale_by_heading is not None and 0.6 < scale_by_heading < 1.6:
         return True
-    scale = turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
+    scale = turn_scale(drive.turn, drive.tracks_over_tread)
     return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and count_turns(drive.turn) >= LEAST_TURNS
 
 
@@ -355,11 +355,11 @@ def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str
     still = standstill_windows(x)
     if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
         return None
-    bias = median_bias(y, x, WINDOW)
+    bias = median_bias(y, x)
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
     if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or spread > 0.5 * abs(bias):
         return None
-    fit = fit_turns(y, x, WINDOW)
+    fit = fit_turns(y, x)
     best = int(np.argmax(fit.logs))
     residuals = y[~still] - float(fit.efficiencies[best]) * (x[~still] @ PATTERNS[best])
     variance = 0.05**2 + 0.02 * np.sum(x[~still] ** 2, axis=1)

@@ -16,7 +16,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
-from trackslip_estimation.setup_check.grid import WINDOW, integral
+from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import turn_scale
@@ -109,7 +109,7 @@ def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
 
 def _misfit(drive: Drive) -> float:
     """|ln| of the ratio of fixes to track distances, or else of gyro to track turns, over the usual ratio."""
-    distance, turn = rough_scale(drive), turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
+    distance, turn = rough_scale(drive), turn_scale(drive.turn, drive.tracks_over_tread)
     ratio = turn / USUAL_EFFICIENCY if np.isnan(distance) else distance
     return float(np.nan_to_num(abs(np.log(ratio)), nan=np.inf))
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
+from trackslip_estimation.setup_check.grid import WINDOW
 
 PATTERNS = np.array(((-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0)))  # s_l, s_r
 EFFICIENCIES = np.geomspace(0.1, 1.15, 18)
@@ -37,18 +38,18 @@ class TurnFit(NamedTuple):
     bias: float  # of the sensor, rad/s
 
 
-def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0) -> TurnFit:
-    """Fit of ``turn`` (w,) to ``x`` (w, 2) in windows of ``length`` s; ``scale``: reading per rad."""
+def fit_turns(turn: FloatArray, x: FloatArray, scale: float = 1.0) -> TurnFit:
+    """Fit of ``turn`` (w,) to ``x`` (w, 2) in windows; ``scale``: reading per rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable] / scale, x[usable]
     if len(y) < 3:
         return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0)
-    none = _unrelated_log(y, x, length)
+    none = _unrelated_log(y, x)
     candidates = PATTERNS @ x.T  # (4, w)
     ks = EFFICIENCIES[:, np.newaxis, np.newaxis]
     residuals = y - ks * candidates  # (k, 4, w)
     if has_standstill(x):
-        biases = np.full(residuals.shape[:2], median_bias(y, x, length) * length)
+        biases = np.full(residuals.shape[:2], median_bias(y, x) * WINDOW)
     else:
         biases = np.median(residuals, axis=2)
     variance = _NOISE**2 + SLIP**2 * np.sum(x**2, axis=1)
@@ -57,17 +58,17 @@ def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0
     best = np.argmax(logs, axis=0)
     indices = np.arange(4)
     log_ratios = logs[best, indices] - none
-    bias = float(biases[best, indices][int(np.argmax(log_ratios))]) / length
+    bias = float(biases[best, indices][int(np.argmax(log_ratios))]) / WINDOW
     return TurnFit(log_ratios, EFFICIENCIES[best], bias * scale)
 
 
-def turn_scale(turn: FloatArray, x: FloatArray, length: float) -> float:
+def turn_scale(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the sensor over turn by the tracks, by the pattern that explains it best; nan: few turns."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     if len(y) < 3:
         return float("nan")
-    y = y - median_bias(y, x, length) * length
+    y = y - median_bias(y, x) * WINDOW
     best, scale = -1.0, float("nan")
     for pattern in PATTERNS[[0, 2]]:
         turned = x @ pattern
@@ -82,10 +83,10 @@ def turn_scale(turn: FloatArray, x: FloatArray, length: float) -> float:
     return scale
 
 
-def median_bias(y: FloatArray, x: FloatArray, length: float) -> float:
+def median_bias(y: FloatArray, x: FloatArray) -> float:
     """Median rate at standstill, rad/s; without standstill, that of all: turns to both sides cancel."""
     still = standstill_windows(x)
-    return float(np.median(y[still] if has_standstill(x) else y)) / length if len(y) else 0.0
+    return float(np.median(y[still] if has_standstill(x) else y)) / WINDOW if len(y) else 0.0
 
 
 def has_standstill(x: FloatArray) -> bool:
@@ -112,9 +113,9 @@ def _outlier_width(y: FloatArray) -> float:
     return 2.0 * max(float(np.abs(y).max(initial=0.0)), 1.0)
 
 
-def _unrelated_log(y: FloatArray, x: FloatArray, length: float) -> float:
+def _unrelated_log(y: FloatArray, x: FloatArray) -> float:
     """Ln likelihood of turns that are independent of the tracks."""
-    y = y - median_bias(y, x, length) * length
+    y = y - median_bias(y, x) * WINDOW
     variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
     return float(log_mixture_density(y, variance, _outlier_width(y)).sum())
 
