@@ -17,10 +17,10 @@ _collected: ContextVar[list[str] | None] = ContextVar("_collected", default=None
 
 def printable(text: str, longest: int = 200) -> str:
     """A text on one line, with control characters escaped; cut after ``longest`` characters."""
-    shown = "".join(
+    escaped = "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1]
     )
-    return shown if len(text) <= longest else f"{shown[:longest]} …"
+    return escaped if len(text) <= longest else f"{escaped[:longest]} …"
 
 
 def show(*texts: object, file: TextIO | None = None, is_note: bool = False) -> None:

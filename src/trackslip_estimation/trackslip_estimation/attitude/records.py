@@ -85,7 +85,7 @@ class Span(Record):
     known: int  # 0 or 1: whether u is known throughout
 
 
-class Climb(Record):
+class Altitudes(Record):
     """The last altitude used, and those rejected since (``slip.observations.altitude``)."""
 
     used_ns: int  # stamp of the last altitude that was used
@@ -110,7 +110,7 @@ class Attitude(Record):
     noise_count: Annotated[FloatArray, 2]  # effective number of samples in ``noise``
     oriented_ns: int  # stamp of the last orientation that was used
     rejection: int  # ``AttitudeRejection`` of the last orientation; 0: used, or not requested
-    climb: Climb
+    altitudes: Altitudes
     level: Level
 
 

@@ -150,9 +150,9 @@ def _primary_sources(log: Log) -> tuple[Fixes | None, Compass | None]:
     """The fixes with the most information, and the headings: of the same source if it has any."""
     fixes = max(log.fixes, key=lambda f: len(f.t) / max(f.noise, 0.01), default=None)
     usable = [c for c in log.compasses if not c.is_above and np.isfinite(c.headings).sum() > 10]
-    own = [c for c in usable if fixes is not None and c.name == fixes.name]
+    of_fixes = [c for c in usable if fixes is not None and c.name == fixes.name]
     used = [c for c in usable if c.is_used]
-    return fixes, next(iter([*own, *used, *usable]), None)
+    return fixes, next(iter([*of_fixes, *used, *usable]), None)
 
 
 def _first_gyro(log: Log) -> Gyro | None:
@@ -178,8 +178,8 @@ def _remove_wrong_headings(drive: Drive, findings: _Findings) -> Drive:
     if compass is None or drive.gyro is None:
         return drive
     scale = turn_scale(drive.turn, drive.tracks_over_tread)
-    turned = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
-    factor, gain = heading_unit(compass, drive.grid.edges, turned)
+    gyro_angles = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
+    factor, gain = heading_unit(compass, drive.grid.edges, gyro_angles)
     is_known = count_turns(drive.turn - drive.turn_fit.bias * WINDOW) >= LEAST_TURNS
     is_known &= float(drive.turn_fit.logs.max()) > _UNIT_GAIN
     is_known &= bool(inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1])

@@ -55,9 +55,11 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
     factors = {name: time_factor(t, kind) for name, kind, t in series}
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
-    found_factors = set(factors.values())
-    if len(found_factors) > 1 and 1.0 in found_factors:  # a wrong unit may still give a plausible period
-        other = (found_factors - {1.0}).pop()
+    distinct_factors = set(factors.values())
+    if (
+        len(distinct_factors) > 1 and 1.0 in distinct_factors
+    ):  # a wrong unit may still give a plausible period
+        other = (distinct_factors - {1.0}).pop()
         spans = {name: float(t[-1] - t[0]) for name, _, t in series if len(t) > 1}
         longest = max(spans[n] for n in spans if factors[n] == other)
         similar = [n for n in spans if factors[n] == 1.0 and 0.2 < spans[n] / longest < 5.0]

@@ -138,15 +138,15 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def heading_unit(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
+def heading_unit(compass: Compass, t: FloatArray, gyro_angles: FloatArray) -> tuple[float, float]:
     """Factor 57.3 or 1/57.3 of headings in a wrong unit, else 1; its ln likelihood ratio over the right unit.
 
-    By differences of successive headings, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
+    By differences of successive headings, modulo a turn; ``gyro_angles`` (n,) rad, at times ``t`` (n,).
     """
     is_finite = np.isfinite(compass.headings)
     times, headings = compass.t[is_finite], compass.headings[is_finite]
     steps = wrap_angles(np.diff(headings))
-    gyro_steps = np.diff(np.interp(times, t, turned))
+    gyro_steps = np.diff(np.interp(times, t, gyro_angles))
     is_usable = (
         (np.diff(times) < LONGEST_GAP)
         & (np.abs(gyro_steps) > _LEAST_STEP_TURN)
@@ -164,13 +164,13 @@ def heading_unit(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[f
             ).sum()
         )
     best = max(logs, key=lambda factor: logs[factor])
-    if abs(best) < 1.0 and not _is_correlated(np.unwrap(headings), best * np.interp(times, t, turned)):
+    if abs(best) < 1.0 and not _is_correlated(np.unwrap(headings), best * np.interp(times, t, gyro_angles)):
         return 1.0, 0.0
     return abs(best), logs[best] - max(logs[1.0], logs[-1.0])
 
 
-def _is_correlated(headings: FloatArray, turned: FloatArray) -> bool:
+def _is_correlated(headings: FloatArray, gyro_angles: FloatArray) -> bool:
     """Whether small changes of headings follow the turn; those of constant headings do not."""
-    y, x = headings - headings.mean(), turned - turned.mean()
+    y, x = headings - headings.mean(), gyro_angles - gyro_angles.mean()
     of_x, of_y, both = float(x @ x), float(y @ y), float(x @ y)
     return both > _CORRELATION * np.sqrt(of_x * of_y) and 0.5 < both / max(of_x, 1e-12) < 2.0

@@ -114,8 +114,8 @@ class Log:
 
     def with_tracks(self, matrix: FloatArray) -> "Log":
         """The log with (2, 2) ``matrix`` applied to left and right."""
-        own = self.tracks
-        return replace(self, tracks=Tracks(own.t, own.speeds @ matrix.T, own.angles @ matrix.T))
+        tracks = self.tracks
+        return replace(self, tracks=Tracks(tracks.t, tracks.speeds @ matrix.T, tracks.angles @ matrix.T))
 
     def with_gyro(self, gyro: Gyro) -> "Log":
         """The log with another version of one gyro."""

@@ -179,8 +179,8 @@ def _segment_logs(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple
 
 def _pairwise_residual_squares(columns: ComplexArray) -> FloatArray:
     """(p, p) residual squares of each column (p, n) after a place and the best multiple of each other one."""
-    own = columns - columns.mean(axis=1, keepdims=True)
-    products = own.conj() @ own.T
+    centred = columns - columns.mean(axis=1, keepdims=True)
+    products = centred.conj() @ centred.T
     squares = np.diag(products).real
     explained = np.abs(products) ** 2 / np.maximum(squares, 1e-12)[:, np.newaxis]
     return np.asarray(np.maximum(squares - explained, 0.0))

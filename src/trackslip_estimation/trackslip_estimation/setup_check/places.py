@@ -118,8 +118,8 @@ def judge_offset(
     causes, questions = _judge_reverse(compass, distances < 0.0, np.abs(residuals) > np.pi - _HALF_TURN)
     if causes or questions:
         return causes, questions, None
-    usual = np.abs(residuals) < 0.5
-    if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or usual.mean() < 0.7:
+    is_usual = np.abs(residuals) < 0.5
+    if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or is_usual.mean() < 0.7:
         return [], [], measured
     log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(residuals)), 0.02)) ** 2
     if log_ratio < LEAST_LOG:
@@ -154,25 +154,30 @@ def _judge_reverse(
     (n,) straight pieces: whether the tracks reverse; whether course less heading is half a turn from most.
     """
     ahead, back = is_opposite[~is_reverse], is_opposite[is_reverse]
-    turned = int(is_opposite.sum())
-    if not compass.is_used or min(len(ahead), turned, len(is_opposite) - turned) < _LEAST_COURSES:
+    opposite_count = int(is_opposite.sum())
+    if (
+        not compass.is_used
+        or min(len(ahead), opposite_count, len(is_opposite) - opposite_count) < _LEAST_COURSES
+    ):
         return [], []
     if len(back) >= _LEAST_COURSES and abs(back.mean() - ahead.mean()) > _MOST_PIECES:
         evidence = (
             f"the heading turns round in {len(back)} straight pieces in reverse, against {len(ahead)} "
             "forward: a course over ground, or a heading of a cab that swung"
         )
-        leave = f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
-        leave = leave if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
-        remedy = f"Take the heading of two antennas on the undercarriage, or {leave}"
+        alternative = f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
+        alternative = (
+            alternative if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
+        )
+        remedy = f"Take the heading of two antennas on the undercarriage, or {alternative}"
         return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
-    return [], [] if len(back) else [_direction_question(compass.name, turned, len(ahead))]
+    return [], [] if len(back) else [_direction_question(compass.name, opposite_count, len(ahead))]
 
 
-def _direction_question(by: str, turned: int, pieces: int) -> OpenQuestion:
+def _direction_question(sources: str, opposite_count: int, pieces: int) -> OpenQuestion:
     what = (
-        f"machine that goes backwards by {by} in {turned} of {pieces} straight pieces, while the tracks "
-        "count forward: encoders without a direction, or a heading of a cab that swung"
+        f"machine that goes backwards by {sources} in {opposite_count} of {pieces} straight pieces, while "
+        "the tracks count forward: encoders without a direction, or a heading of a cab that swung"
     )
     return OpenQuestion(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)
 
@@ -185,8 +190,8 @@ def judge_direction(drive: Drive) -> list[OpenQuestion]:
     if drive.gyro is None or drive.fixes is None or drive.compass is not None:
         return []
     edges = drive.grid.edges
-    turned = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
-    steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, turned)
+    gyro_compass = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
+    steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, gyro_compass)
     if (
         len(steps.courses) < _LEAST_COURSES
         or (drive.tracks_over_tread.sum(axis=1)[steps.windows] < 0.0).any()
@@ -217,8 +222,8 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
         distance = float(np.hypot(*middle))
         steps = np.hypot(*np.diff(places, axis=0).T)
         leaps = np.flatnonzero(steps > 1e3)
-        stays = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
-        if stays and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
+        is_lasting = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
+        if is_lasting and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
             evidence = f"fixes leap by {steps[leaps[0]] / 1e3:.1f} km from one to the next, and stay there"
             remedy = (
                 "Give all fixes one datum: in the mapping datum: "
