@@ -30,8 +30,8 @@ from trackslip_estimation.box.measurement_model import (
     costs,
     fit_input,
     normal_equations,
+    predict_scan,
     range_costs,
-    ray_cast,
     total_cost,
 )
 
@@ -186,7 +186,7 @@ def count_beams_through(
     ``margin``: range beyond the box's side that noise does not explain, m. One beam spacing within the
     outline is left out.
     """
-    expected, outline = ray_cast(pose[np.newaxis], box, angles)
+    expected, outline = predict_scan(pose[np.newaxis], box, angles)
     spacing = angles[1] - angles[0]
     inside = (angles > outline[0, 0] + spacing) & (angles < outline[0, 1] - spacing)
     return int(np.count_nonzero(inside & (ranges > expected[0] + 0.5 * box.width + margin)))
@@ -205,7 +205,7 @@ def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stdde
 def compile_fit() -> None:
     """Compile the fit by fitting a box in front of the laser; fast if the compiled code is cached."""
     box, stddev, angles = Rectangle(1.0, 1.0), 0.01, np.linspace(-0.1, 0.1, 5)
-    (ranges,), _ = ray_cast(np.array([[5.0, 0.0, 0.0]]), box, angles)
+    (ranges,), _ = predict_scan(np.array([[5.0, 0.0, 0.0]]), box, angles)
     beams = object_beams(np.arange(5), ranges, angles, box.diagonal, 3.0 * stddev)
     start = likely_starting_poses(np.zeros(1), box, beams, stddev)[0]
     posterior(fit_pose(start, box, beams, stddev), 0.0, box, beams, stddev)
