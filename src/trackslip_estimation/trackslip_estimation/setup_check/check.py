@@ -77,7 +77,7 @@ def check(log: Log) -> Result:
 
 def _run_steps(log: Log, findings: _Findings) -> list[str]:
     log, missing = remove_missing(log)
-    findings.add([_missing_cause(one) for one in missing])
+    findings.add([_missing_cause(value) for value in missing])
     log, causes = clocks.correct_time_units(log)
     findings.add(causes)
     if not causes:  # else the log may lack the sources in another unit
@@ -85,7 +85,7 @@ def _run_steps(log: Log, findings: _Findings) -> list[str]:
         findings.add(causes)
     findings.add(clocks.judge_fractions(log))
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
-    log = replace(log, fixes=tuple(with_measured_noise(one) for one in log.fixes))
+    log = replace(log, fixes=tuple(with_measured_noise(source) for source in log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         findings.add([], [_STANDSTILL_QUESTION])
         return []
@@ -260,12 +260,12 @@ def _judge_distance(drive: Drive, fixes: Fixes, unit: float, findings: _Findings
     """Judge distance by tracks against distance by fixes; False if the unit of the fixes may be wrong."""
     fit, thin = drive.turn_fit, thin_fixes(fixes, 0.2)
     all_scales = [segment_scales(drive.path, thin, length) for length in _SEGMENTS]
-    best = max((one for one in all_scales if one is not None), key=speeds.piece_counts, default=None)
+    best = max((scales for scales in all_scales if scales is not None), key=speeds.piece_counts, default=None)
     is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not findings.has_cause("gyro_unit")
     turn_ratio = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit if is_known else float("nan")
     causes, questions = speeds.judge_distance(best, drive.log, unit, drive.distance_by_fixes, turn_ratio)
     findings.add(causes, questions)
-    return not any(one.is_wrong for one in questions)
+    return not any(question.is_wrong for question in questions)
 
 
 def _measured_delay(delay: clocks.SourceDelay) -> MeasuredValue:

@@ -200,7 +200,7 @@ def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, b
 def _fix_delays(drive: Drive, fixes: Fixes, delays: list[SourceDelay]) -> list[SourceDelay]:
     """Delays of fixes after dead reckoning by tracks; by tracks and gyro if these have no mutual delay."""
     gyro = drive.gyro.name if drive.gyro is not None else ""
-    gyro_delay = next((one for one in delays if (one.first, one.second) == (TRACKS, gyro)), None)
+    gyro_delay = next((delay for delay in delays if (delay.first, delay.second) == (TRACKS, gyro)), None)
     is_common = gyro_delay is not None and abs(gyro_delay.value) < LEAST_DELAY
     path, thin = drive.path if is_common else drive.track_path, thin_fixes(fixes, 0.3)
     candidates = [

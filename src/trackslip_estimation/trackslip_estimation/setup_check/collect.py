@@ -9,14 +9,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.setup_check.grid import continuous_angles
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
-
-Rows = NDArray[np.void]  # of at least the fields of ``records.MEASUREMENT``
 
 _UNMEASURED_HEADING_VARIANCE = 0.3**2  # rad², variance from which a heading counts as unmeasured
 _UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
@@ -40,7 +38,7 @@ class Collector:
     counts: dict[Key, int] = field(default_factory=dict)
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Append (n,) measurements of the kinds that are compared; ``sources``: names by their numbers."""
+        """Append (n,) ``records.MEASUREMENT`` of the compared kinds; ``sources``: names by their numbers."""
         for kind in _KINDS:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
@@ -155,7 +153,7 @@ def _make_log(
         elif kind == ON_SWING and name in angles:
             swing = t, values[:, 0] - angles[name].offset
     if swing is not None:
-        compasses = [_undercarriage_compass(one, swing) for one in compasses]
+        compasses = [_undercarriage_compass(compass, swing) for compass in compasses]
     geometry = Machine(machine.rolling_radius, machine.tread, machine.contact_length)
     return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, counts)
 

@@ -41,18 +41,20 @@ def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
     causes = _judge_overlap(log)
     other_clock = {cause.source for cause in causes}
     shifts = {}
-    for one in log.fixes:
-        shift = None if one.name in other_clock else _fix_shift(log.tracks, log.machine.radius, one)
+    for source in log.fixes:
+        shift = None if source.name in other_clock else _fix_shift(log.tracks, log.machine.radius, source)
         if shift is not None:
-            shifts[one.name] = shift.value
-            causes.append(_shift_cause(one.name, shift))
+            shifts[source.name] = shift.value
+            causes.append(_shift_cause(source.name, shift))
     if not causes:
         return log, []
-    gyros = tuple(one for one in log.gyros if one.name not in other_clock)
-    fixes = [replace(one, t=one.t - shifts.get(one.name, 0.0)) for one in log.fixes]
+    gyros = tuple(source for source in log.gyros if source.name not in other_clock)
+    fixes = [replace(source, t=source.t - shifts.get(source.name, 0.0)) for source in log.fixes]
     # the clock of all other compasses is unknown
-    compasses = [replace(one, t=one.t - shifts[one.name]) for one in log.compasses if one.name in shifts]
-    remaining = tuple(one for one in fixes if one.name not in other_clock)
+    compasses = [
+        replace(source, t=source.t - shifts[source.name]) for source in log.compasses if source.name in shifts
+    ]
+    remaining = tuple(source for source in fixes if source.name not in other_clock)
     return replace(log, gyros=gyros, fixes=remaining, compasses=tuple(compasses)), causes
 
 
@@ -61,17 +63,17 @@ def _judge_overlap(log: Log) -> list[Cause]:
     begin, end = float(log.tracks.t[0]), float(log.tracks.t[-1])
     causes = []
     sources: tuple[Gyro | Fixes, ...] = (*log.gyros, *log.fixes)
-    for one in sources:
-        if len(one.t) < _LEAST_READINGS or len(log.tracks.t) < _LEAST_READINGS:
+    for source in sources:
+        if len(source.t) < _LEAST_READINGS or len(log.tracks.t) < _LEAST_READINGS:
             continue
-        late, early = float(one.t[0]) - end, begin - float(one.t[-1])
+        late, early = float(source.t[0]) - end, begin - float(source.t[-1])
         if max(late, early) < _LEAST_SEPARATION:
             continue
         where = f"begins {late:.0f} s after the end" if late > 0.0 else f"ends {early:.0f} s before the begin"
-        evidence = f"{one.name} {where} of the sprockets: the two have no time in common"
-        of_clock = f"bring both to one clock (mapping of {one.name}: time_offset, or zone of its times)"
+        evidence = f"{source.name} {where} of the sprockets: the two have no time in common"
+        of_clock = f"bring both to one clock (mapping of {source.name}: time_offset, or zone of its times)"
         remedy = f"Record both together, or {of_clock}"
-        causes.append(Cause("source_delay", one.name, evidence, odds_of(12.0), remedy))
+        causes.append(Cause("source_delay", source.name, evidence, odds_of(12.0), remedy))
     return causes
 
 
@@ -105,7 +107,7 @@ def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     if not least <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST_CORRELATION:
         return None
     track_autocorrelation, fix_autocorrelation = (
-        _correlations(one, one, steps)[0] for one in (by_tracks, by_fixes)
+        _correlations(speeds, speeds, steps)[0] for speeds in (by_tracks, by_fixes)
     )
     # readings per independent one (Bartlett)
     effective = max(float(np.sum(track_autocorrelation * fix_autocorrelation)), 1.0)
@@ -126,7 +128,9 @@ def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
 def _window_speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
     """(k,) speeds by (n, d) values in windows about the times; nan outside the readings."""
     ends = [
-        np.column_stack([np.interp(times + side * _WINDOW / 2.0, t, one, np.nan, np.nan) for one in values.T])
+        np.column_stack(
+            [np.interp(times + side * _WINDOW / 2.0, t, column, np.nan, np.nan) for column in values.T]
+        )
         for side in (-1.0, 1.0)
     ]
     speeds = np.linalg.norm(ends[1] - ends[0], axis=1) / _WINDOW

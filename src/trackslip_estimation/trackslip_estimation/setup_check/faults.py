@@ -131,11 +131,13 @@ def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
                 accelerations=gyro.accelerations[is_valid],
             )
         )
-    for one in log.fixes:
-        is_missing = _mark_missing_fixes(missing_values, one.name, one.places)
+    for source in log.fixes:
+        is_missing = _mark_missing_fixes(missing_values, source.name, source.places)
         is_valid = ~is_missing
         fixes.append(
-            replace(one, t=one.t[is_valid], places=one.places[is_valid], stddevs=one.stddevs[is_valid])
+            replace(
+                source, t=source.t[is_valid], places=source.places[is_valid], stddevs=source.stddevs[is_valid]
+            )
         )
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), missing_values
 

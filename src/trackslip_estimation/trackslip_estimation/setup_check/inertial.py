@@ -82,7 +82,7 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
         return GyroResult(drive.with_gyro(None), (frozen,))
     gyro, axis_cause = _find_vertical_axis(drive, gyro, gravity)
     drive = drive.with_gyro(gyro)
-    factor, unit_cause, open_ones = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
+    factor, unit_cause, questions = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
     causes = tuple(cause for cause in (axis_cause, unit_cause) if cause is not None)
     gyro = replace(gyro, rates=gyro.rates / factor)
     drive = drive.with_gyro(gyro)
@@ -99,8 +99,8 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
         else:
             what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
             needed = "turn left and right by 90° once each, with fixes"
-        open_ones.append(OpenQuestion(what, needed, is_wrong=True))
-        return GyroResult(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
+        questions.append(OpenQuestion(what, needed, is_wrong=True))
+        return GyroResult(drive.with_gyro(None), causes, tuple(questions), is_contradicted=not is_unit_known)
     is_swing_unknown = gyro.is_above and drive.log.swing is None
     if (
         unit_cause is None
@@ -112,7 +112,7 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
         causes += () if bias_cause is None else (bias_cause,)
     has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
     is_upside_down = gravity is not None and gravity[2] < -0.8 and has_rates
-    return GyroResult(drive, causes, tuple(open_ones), factor, is_upside_down)
+    return GyroResult(drive, causes, tuple(questions), factor, is_upside_down)
 
 
 def _confirming_odometer(drive: Drive, scale: float) -> str:

@@ -211,9 +211,9 @@ def judge_direction(drive: Drive) -> list[OpenQuestion]:
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
     """Fixes kilometres from the origin of the map, or from the fix before; two sources metres apart."""
     causes = []
-    for one in fixes:
-        is_finite = np.isfinite(one.places).all(axis=1)
-        places = one.places[is_finite]
+    for source in fixes:
+        is_finite = np.isfinite(source.places).all(axis=1)
+        places = source.places[is_finite]
         if len(places) < 5:
             continue
         middle = np.median(places, axis=0)
@@ -229,34 +229,36 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
                 "Give all fixes one datum: in the mapping datum: "
                 "{latitude: …, longitude: …}; of gnss_localizer its datum"
             )
-            causes.append(Cause("datum", one.name, evidence, odds_of(15.0), remedy))
+            causes.append(Cause("datum", source.name, evidence, odds_of(15.0), remedy))
         elif distance > _FARTHEST_SITE and not is_grid:
             evidence = f"fixes are {distance / 1e3:.1f} km from the origin of the map"
             remedy = (
                 "Set the datum to the site: in the mapping datum: first; of "
                 "gnss_localizer datum_latitude and datum_longitude"
             )
-            causes.append(Cause("datum", one.name, evidence, odds_of(12.0), remedy))
+            causes.append(Cause("datum", source.name, evidence, odds_of(12.0), remedy))
     return causes + _judge_separation(fixes)
 
 
 def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
     """Places whose rounding is coarser than their stated standard deviation."""
     causes = []
-    for one in fixes:
+    for source in fixes:
         rounding = max(
-            (rounding_of(column[np.isfinite(column)], one.noise) for column in one.places.T), default=0.0
+            (rounding_of(column[np.isfinite(column)], source.noise) for column in source.places.T),
+            default=0.0,
         )
-        if rounding <= LEAST_ROUNDING_RATIO * one.noise:
+        if rounding <= LEAST_ROUNDING_RATIO * source.noise:
             continue
         evidence = (
-            f"its places are rounded by {rounding:.2g} m, and state a standard deviation of {one.noise:.2g} m"
+            f"its places are rounded by {rounding:.2g} m, and state a standard deviation of "
+            f"{source.noise:.2g} m"
         )
-        floor = remedies.parameter(f"{group_of(one.name)}.position_floor", float(f"{rounding:.2g}"))
+        floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{rounding:.2g}"))
         causes.append(
             Cause(
                 "position_resolution",
-                one.name,
+                source.name,
                 evidence,
                 odds_of(20.0),
                 f"Record {MORE_DIGITS}, or set {floor}",

@@ -82,7 +82,7 @@ class RunningCheck:
             result = Result(causes, result.undetermined, result.facts)
         is_open = bool(result.open_questions)
         if is_open and not self._was_open:
-            undetermined = tuple(replace(one, is_wrong=False) for one in result.undetermined)
+            undetermined = tuple(replace(question, is_wrong=False) for question in result.undetermined)
             result = replace(result, undetermined=undetermined)
         self._was_open = is_open
         self.result = result
@@ -143,7 +143,7 @@ class BackgroundCheck:
 def _is_decided(result: Result) -> bool:
     """Whether there was enough motion to decide signs."""
     return bool(result.facts) and not any(
-        one.what.startswith(("signs", "everything")) for one in result.undetermined
+        question.what.startswith(("signs", "everything")) for question in result.undetermined
     )
 
 
