@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check.log import Gyro, Log
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
 LONGEST_GAP = 1.0  # s between readings; motion in longer gaps is unknown
-_SWINGING = 0.02  # rad/s, swing rate above which a gyro on the upper structure is not used
+_LEAST_SWING_RATE = 0.02  # rad/s, swing rate above which a gyro on the upper structure is not used
 _SWING_MARGIN = 1.0  # s, before and after a swing
 MOST_CELLS = 400_000  # eleven hours; longer logs have longer cells
 
@@ -55,7 +55,7 @@ def _swinging_cells(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> 
     angle, middle = np.unwrap(swing[1]), (edges[1:] + edges[:-1]) / 2.0
     after = np.interp(middle + _SWING_MARGIN, swing[0], angle)
     before = np.interp(middle - _SWING_MARGIN, swing[0], angle)
-    return np.asarray(np.abs(after - before) > 2.0 * _SWING_MARGIN * _SWINGING)
+    return np.asarray(np.abs(after - before) > 2.0 * _SWING_MARGIN * _LEAST_SWING_RATE)
 
 
 def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
