@@ -111,7 +111,11 @@ class CallbackFailures:
         if not counts:
             return []
         values: dict[str, Any] = {f"failed: {name}": n for name, n in sorted(counts.items())}
-        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}", "last failure at": utc_date(ago_s)}
+        values |= {
+            "last failure": last,
+            "age of the last failure (s)": f"{ago_s:.1f}",
+            "last failure at": utc_date(ago_s),
+        }
         failed = f"{sum(counts.values())} callbacks failed; the last: {last}"
         level, message = (ERROR, failed) if ago_s < RECENT_S else (OK, "running")
         return [Health(level, message, values, "callbacks")]
