@@ -61,7 +61,7 @@ def test_exception_in_a_callback_is_counted_and_reported(failures, clock):
     assert (entry.level, entry.part) == (ERROR, "callbacks")
     assert entry.message.startswith("3 callbacks failed; the last: scan: ValueError: bad value 7 (")
     assert entry.values["failed: scan"] == 3
-    assert entry.values["age of it (s)"] == "2.0"
+    assert entry.values["age of the last failure (s)"] == "2.0"
     clock.now += RECENT_S
     (entry,) = failures.health()
     assert (entry.level, entry.values["failed: scan"]) == (OK, 3)

@@ -127,13 +127,13 @@ def test_a_bad_value_is_refused_by_name_value_and_range(
 @pytest.mark.parametrize("value", [1e308, -1e160, 1e31])
 def test_number_whose_square_overflows_is_refused(value: float) -> None:
     """For example a standard deviation of 1e308 in ``--params`` of a replay."""
-    assert refusal(drift=value).startswith(f"cart: drift: {value!r} is no size of anything; accepted: ")
+    assert refusal(drift=value).startswith(f"cart: drift: {value!r} is beyond any physical value; accepted: ")
 
 
 @pytest.mark.parametrize("value", [5e-324, 1e-31])
 def test_number_whose_inverse_overflows_is_refused(value: float) -> None:
     """For example an acceleration of 5e-324; a coordinate may be arbitrarily small."""
-    assert f"gears[0]: {value!r} is no size of anything" in refusal(gears=[value])
+    assert f"gears[0]: {value!r} is beyond any physical value" in refusal(gears=[value])
     assert cart(drift=-value).drift == -value
 
 

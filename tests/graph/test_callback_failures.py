@@ -66,7 +66,7 @@ def test_node_continues_after_exceptions_in_callbacks_and_reports_them(programs,
     assert level == DiagnosticStatus.ERROR
     assert CAUSE in message
     assert CAUSE in values["last failure"]
-    assert "age of it (s)" in values
+    assert "age of the last failure (s)" in values
     node.set(fails=False)
     node.healths.clear()
     node.scan_until(lambda: any(int(v["scans"]) > 0 for v in node.running()), "scans to be handled again")

@@ -136,14 +136,13 @@ def check_other(clock: Clock, limits: ClockLimits, stamp_ns: int) -> int:
     if not clock.running or stamp_ns <= clock.head_ns:
         return _IN_LINE
     streak = clock.others
-    if (
-        not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0
-    ):  # stamps of several sources may be out of order
+    # stamps of several sources may be out of order
+    if not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0:
         _extend_streak(streak, stamp_ns, limits.gap_ns, True)
-    advances = streak.count >= _ADVANCING_COUNT and stamp_ns - streak.first_ns >= limits.silence_ns
-    if advances:
+    is_advancing = streak.count >= _ADVANCING_COUNT and stamp_ns - streak.first_ns >= limits.silence_ns
+    if is_advancing:
         clock.head_ns = stamp_ns
-    return _IN_LINE if advances or stamp_ns <= clock.head_ns + limits.gap_ns else _AHEAD
+    return _IN_LINE if is_advancing or stamp_ns <= clock.head_ns + limits.gap_ns else _AHEAD
 
 
 @compiled

@@ -104,11 +104,13 @@ class _Countdown:
             self._report("")
 
     def _text(self) -> str:
-        elapsed, used = time.monotonic() - self._begun[0], time.process_time() - self._begun[1]
-        left = (self._expected_s - used) * max((elapsed + _TIME_OFFSET_S) / (used + _TIME_OFFSET_S), 1.0)
-        if left < _STEP:
+        elapsed_s, used_s = time.monotonic() - self._begun[0], time.process_time() - self._begun[1]
+        left_s = (self._expected_s - used_s) * max(
+            (elapsed_s + _TIME_OFFSET_S) / (used_s + _TIME_OFFSET_S), 1.0
+        )
+        if left_s < _STEP:
             return "compiling, almost done"
-        return f"compiling, about {_STEP * round(left / _STEP):.0f} s left"
+        return f"compiling, about {_STEP * round(left_s / _STEP):.0f} s left"
 
 
 def _ignore(_: str) -> None:

@@ -17,10 +17,10 @@ _collected: ContextVar[list[str] | None] = ContextVar("_collected", default=None
 
 def printable(text: str, longest: int = 200) -> str:
     """A text on one line, with control characters escaped; cut after ``longest`` characters."""
-    shown = "".join(
+    escaped = "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1]
     )
-    return shown if len(text) <= longest else f"{shown[:longest]} …"
+    return escaped if len(text) <= longest else f"{escaped[:longest]} …"
 
 
 def show(*texts: object, file: TextIO | None = None, is_note: bool = False) -> None:
@@ -73,8 +73,8 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Suffix of "'word' is unknown": the most similar known word; empty if none is similar."""
     from difflib import get_close_matches  # loaded only after a mistyped word
 
-    found = get_close_matches(word, list(known), n=1, cutoff=_MIN_SIMILARITY)
-    return f", did you mean '{found[0]}'?" if found else ""
+    matches = get_close_matches(word, list(known), n=1, cutoff=_MIN_SIMILARITY)
+    return f", did you mean '{matches[0]}'?" if matches else ""
 
 
 def suggestion(word: str, known: Iterable[str], more: str = "") -> str:

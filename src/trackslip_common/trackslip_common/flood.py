@@ -6,9 +6,8 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-MAX_RATE = (
-    1200.0  # messages of a topic per second: more than sprockets of a bag played at ten times its speed
-)
+# messages of a topic per second: more than sprockets of a bag played at ten times its speed
+MAX_RATE = 1200.0
 MAX_BURST = 2400.0  # messages at once, after the processor was busy
 
 
@@ -26,11 +25,11 @@ class RateLimiter:
         now_s = self._clock()
         tokens, at_s = self._tokens.get(topic, (MAX_BURST, now_s))
         tokens = min(MAX_BURST, tokens + MAX_RATE * (now_s - at_s))
-        passes = tokens >= 1.0
-        self._tokens[topic] = (tokens - passes, now_s)
-        if not passes:
+        is_accepted = tokens >= 1.0
+        self._tokens[topic] = (tokens - is_accepted, now_s)
+        if not is_accepted:
             self.dropped[topic] += 1
-        return passes
+        return is_accepted
 
     def new_drops(self) -> dict[str, int]:
         """Messages dropped since the previous call, by topic."""

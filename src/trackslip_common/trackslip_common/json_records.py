@@ -32,10 +32,10 @@ def read_lines(path: Path) -> list[str]:
 def parse_line(line: str) -> dict[str, Any] | None:
     """The mapping in a line; None if there is none."""
     try:
-        found = json.loads(line)
+        value = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return value if isinstance(value, dict) else None
 
 
 def make_record(kind: type[R], entry: Any) -> R:

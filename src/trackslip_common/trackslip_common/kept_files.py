@@ -33,9 +33,11 @@ def move_aside(path: Path) -> None:
     if not os.path.lexists(path):
         return
     names = [f"{path.name}.unused", *(f"{path.name}.unused-{n}" for n in range(2, MAX_UNUSED_FILES + 1))]
-    free = next((place for name in names if not os.path.lexists(place := path.with_name(name))), None)
-    if free is None:
+    free_path = next(
+        (candidate for name in names if not os.path.lexists(candidate := path.with_name(name))), None
+    )
+    if free_path is None:
         raise OSError(
             errno.EEXIST, f"{MAX_UNUSED_FILES} files {names[0]}… are there already; move or delete some"
         )
-    path.rename(free)
+    path.rename(free_path)

@@ -109,10 +109,10 @@ class Layout:
 
     def blank(self) -> bytearray:
         """The message with all numbers zero; strings and lengths are kept."""
-        found = bytearray(CDR_HEADER + self._offset)
+        message = bytearray(CDR_HEADER + self._offset)
         for span, piece in self._pieces:
-            found[span] = piece
-        return found
+            message[span] = piece
+        return message
 
     def is_layout_of(self, raw: bytes) -> bool:
         """Whether another message has this layout."""
@@ -145,8 +145,8 @@ class Layout:
 
     def matches(self, buffer: Bytes, starts: IntArray) -> BoolArray:
         """(n,) whether each message at ``starts``, all of the same length, has this layout."""
-        found: BoolArray = (buffer[starts[:, np.newaxis] + self._frame] == self._frame_bytes).all(axis=1)
-        return found
+        is_match: BoolArray = (buffer[starts[:, np.newaxis] + self._frame] == self._frame_bytes).all(axis=1)
+        return is_match
 
     def column(
         self, selector: Selector, buffer: Bytes, starts: IntArray, number_of: Callable[[str], int]
@@ -166,8 +166,8 @@ class Layout:
             case Text(path):
                 return number_of(self._leaves[path].texts[0])
             case JointItem():
-                found = self._numbers(selector)
-                return self._values(found[0][0], buffer, starts, found[0][1]) if found else np.nan
+                numbers = self._numbers(selector)
+                return self._values(numbers[0][0], buffer, starts, numbers[0][1]) if numbers else np.nan
             case FieldPath(path, items, shape):
                 leaf = self._leaves[path]
                 if not shape:
@@ -181,19 +181,19 @@ class Layout:
         """(leaf, index in the leaf) of each number in the selected value."""
         match selector:
             case Stamp(path):
-                found = [(self._leaves[f"{path}.sec"], 0), (self._leaves[f"{path}.nanosec"], 0)]
+                numbers = [(self._leaves[f"{path}.sec"], 0), (self._leaves[f"{path}.nanosec"], 0)]
             case FieldPath(path, items, _):
-                found = [(self._leaves[path], item) for item in items or (0,)]
+                numbers = [(self._leaves[path], item) for item in items or (0,)]
             case JointItem(path, name):
                 leaf, names = self._leaves[path], self._leaves["name"].texts
-                at = names.index(name) if name in names else leaf.length or 0
-                found = [(leaf, at)] if at < (leaf.length or 0) else []
+                index = names.index(name) if name in names else leaf.length or 0
+                numbers = [(leaf, index)] if index < (leaf.length or 0) else []
             case _:
-                found = []
-        for leaf, at in found:
-            if leaf.kind == "text" or at >= (1 if leaf.length is None else leaf.length):
+                numbers = []
+        for leaf, index in numbers:
+            if leaf.kind == "text" or index >= (1 if leaf.length is None else leaf.length):
                 raise KeyError(selector.path)
-        return found
+        return numbers
 
     def _make_getter(
         self, selector: Selector, number_at: Callable[[int], int]
@@ -228,8 +228,8 @@ class Layout:
             raise KeyError
         size = np.dtype(leaf.kind).itemsize
         begin = leaf.offset + first * size
-        found = buffer[starts[:, np.newaxis] + np.arange(begin, begin + count * size)].view(leaf.kind)
-        return np.asarray(found[:, 0] if count == 1 else found)
+        values = buffer[starts[:, np.newaxis] + np.arange(begin, begin + count * size)].view(leaf.kind)
+        return np.asarray(values[:, 0] if count == 1 else values)
 
     def _parse_message(self, type_name: str, prefix: str) -> None:
         for name, kind, count in self._fields_of(type_name):

@@ -36,10 +36,10 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function of the signature; None if it must be compiled."""
-        found = super().load_overload(sig, target_context)
-        if found is None and self._shipped is not None:
-            found = self._shipped.load_overload(sig, target_context)
-        return found
+        code = super().load_overload(sig, target_context)
+        if code is None and self._shipped is not None:
+            code = self._shipped.load_overload(sig, target_context)
+        return code
 
 
 class _ShippedCache(FunctionCache):
@@ -104,14 +104,14 @@ def source_digest(file: str, module: str) -> str:
     Numba checks only the file of the function itself, so a kernel would keep stale code of functions in other
     files. Machine code contains the module's name, of which a test file has two.
     """
-    found: set[str] = set()
+    files: set[str] = set()
     waiting = {file}
     while waiting:
         source = waiting.pop()
-        found.add(source)
-        waiting.update(path for path in _imported_files(source) if path not in found)
+        files.add(source)
+        waiting.update(path for path in _imported_files(source) if path not in files)
     state = hashlib.sha256(module.encode())
-    for text in sorted(map(_source_bytes, found)):
+    for text in sorted(map(_source_bytes, files)):
         state.update(text)
     return state.hexdigest()[:16]
 
@@ -124,12 +124,12 @@ def _source_bytes(file: str) -> bytes:
 @cache
 def _imported_files(file: str) -> tuple[str, ...]:
     """Files of the modules that a file imports, from our packages and from its own folder."""
-    found = []
+    paths = []
     for match in _IMPORT.finditer(_source_bytes(file).decode()):
         parent, names = match.group(1), re.findall(r"\w+", match.group(2) or "")
         for name in (parent, *(f"{parent}.{name}" for name in names)):
             path = getattr(sys.modules.get(name), "__file__", None)
             path = path and _real_path(path)
             if path and (name.startswith(_PACKAGE_PREFIX) or Path(path).parent == Path(file).parent):
-                found.append(path)
-    return tuple(found)
+                paths.append(path)
+    return tuple(paths)

@@ -34,15 +34,15 @@ class MessageBuffer:
         layout = Layout(fields_of, type_name, raw, lists=True)
         dtype = layout.dtype
         self._raw = layout.blank()  # serializers leave padding uninitialised
-        record, given = np.frombuffer(self._raw, dtype).reshape(()), np.frombuffer(raw, dtype, 1)[0]
+        record, original = np.frombuffer(self._raw, dtype).reshape(()), np.frombuffer(raw, dtype, 1)[0]
         fields: dict[str, Any] = {}
         for path in dtype.names or ():
             *inside, name = path.split(".")
             part = fields
-            for one in inside:
-                part = part.setdefault(one, {})
+            for group in inside:
+                part = part.setdefault(group, {})
             part[name] = _NumberField(record[path])
-            record[path] = given[path]
+            record[path] = original[path]
         self.message = _make_part(fields)
 
     def __bytes__(self) -> bytes:

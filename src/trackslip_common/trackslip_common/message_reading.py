@@ -76,8 +76,8 @@ def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
     """The numpy record of a record class: float64, int64, bool; the number of a text is int64."""
     fields = []
     for name, (python, selector) in selectors_of(kind).items():
-        of = {int: np.int64, bool: np.bool_, str: np.int64}.get(python, np.float64)
-        fields.append((name, of, selector.shape if isinstance(selector, FieldPath) else ()))
+        dtype = {int: np.int64, bool: np.bool_, str: np.int64}.get(python, np.float64)
+        fields.append((name, dtype, selector.shape if isinstance(selector, FieldPath) else ()))
     return np.dtype(fields, align=True)
 
 
@@ -113,8 +113,8 @@ def _converter(python: type, selector: Selector) -> Callable[[Any, Any], Any]:
 
 
 def _joint_value(values: Any, names: list[str], joint: str) -> float:
-    at = names.index(joint) if joint in names else len(values)
-    return float(values[at]) if at < len(values) else math.nan
+    index = names.index(joint) if joint in names else len(values)
+    return float(values[index]) if index < len(values) else math.nan
 
 
 class SerializedMessage(ABC):
@@ -133,8 +133,8 @@ def read(kind: Callable[..., R], message: Any) -> R:
     Raises:
         AttributeError: the message is of another type.
     """
-    found: R = message.record(kind) if isinstance(message, SerializedMessage) else _reader(kind)(message)
-    return found
+    record: R = message.record(kind) if isinstance(message, SerializedMessage) else _reader(kind)(message)
+    return record
 
 
 def frame_number(text: str) -> int:

@@ -100,5 +100,5 @@ def check_value(name: str, value: Any, kind: Any, spec: Spec) -> None:
     least = 1.0 / _MAX_MAGNITUDE if spec.gt == 0.0 else -_MAX_MAGNITUDE
     if kind is float and not least <= value <= _MAX_MAGNITUDE:
         raise InputError(
-            f"{name}: {value!r} is no size of anything; accepted: {least:g} to {_MAX_MAGNITUDE:g}"
+            f"{name}: {value!r} is beyond any physical value; accepted: {least:g} to {_MAX_MAGNITUDE:g}"
         )

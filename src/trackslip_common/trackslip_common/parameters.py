@@ -94,12 +94,12 @@ def _fields_of(cls: Any) -> tuple[tuple[str, Any, Spec | None], ...]:
     return tuple((field.name, hints[field.name], field.metadata.get(_METADATA_KEY)) for field in fields)
 
 
-def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:
+def flat_fields(source: type[Parameters] | Parameters, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:
     """(dotted name, type, spec) of every parameter of a record, as a node declares them.
 
     For a class, groups that depend on values are left out.
     """
-    record, cls = (None, of) if isinstance(of, type) else (of, type(of))
+    record, cls = (None, source) if isinstance(source, type) else (source, type(source))
     for name, kind, spec in own_fields(cls):
         value = getattr(record, name, None)
         if spec is not None:
@@ -127,9 +127,9 @@ def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def reloadable_names(of: type[Parameters] | Parameters) -> frozenset[str]:
+def reloadable_names(source: type[Parameters] | Parameters) -> frozenset[str]:
     """Dotted names of the parameters that may change at run time."""
-    return frozenset(name for name, _, spec in flat_fields(of) if not spec.read_only)
+    return frozenset(name for name, _, spec in flat_fields(source) if not spec.read_only)
 
 
 def known_names(cls: type[Parameters], values: Mapping[str, Any], where: str) -> list[str]:
@@ -210,12 +210,14 @@ def _hint(unknown: str, known: list[str]) -> str:
     parts = unknown.split(".")
     for depth, part in enumerate(parts):
         before = "".join(f"{p}." for p in parts[:depth])
-        there = dict.fromkeys(n.removeprefix(before).partition(".")[0] for n in known if n.startswith(before))
-        if part not in there:
-            like = get_close_matches(part, list(there), n=1, cutoff=0.8)
-            if like:
-                return f", did you mean '{before}{like[0]}'?"
-            return f"; accepted: {joined_names(before + name for name in there) or 'a value, no group'}"
+        accepted = dict.fromkeys(
+            n.removeprefix(before).partition(".")[0] for n in known if n.startswith(before)
+        )
+        if part not in accepted:
+            similar = get_close_matches(part, list(accepted), n=1, cutoff=0.8)
+            if similar:
+                return f", did you mean '{before}{similar[0]}'?"
+            return f"; accepted: {joined_names(before + name for name in accepted) or 'a value, no group'}"
     return f"; accepted: {joined_names(name for name in known if name.startswith(f'{unknown}.'))}"
 
 

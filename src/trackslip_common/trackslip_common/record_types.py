@@ -3,7 +3,7 @@
 """Records for compiled code, each declared once: as a class that types and dtypes are derived from.
 
     class Level(Record):
-        tilted: int
+        known: int
         downhill: Annotated[FloatArray, 2]
         sample: Sample
         faults: Annotated[Table[Fault], 12]

@@ -139,18 +139,18 @@ def _parse_soil(path: Path, name: str, entry: Any) -> Soil:
     if not isinstance(entry, Mapping):
         raise InputError(f"{path}: soil '{name}': {entry!r} is not a mapping of properties to values")
     values: dict[str, Any] = {"source": str(entry.get("source", ""))}
-    for key, raw in entry.items():
+    for key, number in entry.items():
         if key == "source":
             continue
         field, factor = _field_and_factor(path, name, str(key))
         if field in values:
             raise InputError(f"{path}: soil '{name}': {field} is given twice; accepted: one unit")
-        if type(raw) not in (int, float) or not RANGES[field].accepts(raw * factor):
+        if type(number) not in (int, float) or not RANGES[field].accepts(number * factor):
             raise InputError(
-                f"{path}: soil '{name}': {key} = {raw!r} is refused; "
+                f"{path}: soil '{name}': {key} = {number!r} is refused; "
                 f"accepted: {field} {RANGES[field].accepted_range()}"
             )
-        values[field] = raw * factor
+        values[field] = number * factor
     for field in ("cohesion", "friction_angle"):
         if field not in values:
             raise InputError(

@@ -26,13 +26,13 @@ class Interrupted(KeyboardInterrupt):
     """
 
 
-def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
-    """Import ``module`` and exit with the result of its ``main``; an early Ctrl-C exits with ``interrupted``.
+def start(module: str, interrupt_code: ExitCode = ExitCode.DONE) -> NoReturn:
+    """Import ``module`` and exit with the result of its ``main``; ``interrupt_code``: after an early Ctrl-C.
 
     A background job of a shell ignores SIGINT from the start; here it receives SIGINT again. A library that
     is not installed is named in one line.
     """
-    signal.signal(signal.SIGINT, lambda *_: os._exit(interrupted))  # nothing is open yet
+    signal.signal(signal.SIGINT, lambda *_: os._exit(interrupt_code))  # nothing is open yet
     try:
         main = importlib.import_module(module).main
     except ModuleNotFoundError as error:
@@ -59,7 +59,7 @@ def repeat_lost_interrupts() -> None:
     Python only prints that it ignored the exception. It is raised again a moment later, and messages about
     incomplete objects are hidden. At the end of the process nothing would catch it, so it is not raised.
     """
-    shown = sys.unraisablehook
+    hook = sys.unraisablehook
     is_ending = False
 
     def interrupt(number: int, *_: object) -> None:
@@ -71,7 +71,7 @@ def repeat_lost_interrupts() -> None:
             if not is_ending:
                 signal.setitimer(signal.ITIMER_REAL, _REPEAT_DELAY)
         elif not _received_signals:
-            shown(lost)
+            hook(lost)
 
     @atexit.register
     def end() -> None:

@@ -46,9 +46,9 @@ class Tally:
     def new_counts(self) -> dict[tuple[str, str], int]:
         """Counts since the previous call, for diagnostics."""
         total = self.total
-        news = dict(total - self._seen)
+        new = dict(total - self._seen)
         self._seen = total
-        return news
+        return new
 
     def by_source(self) -> dict[str, dict[str, int]]:
         """{source: {reason: n}}, for summaries."""

@@ -74,12 +74,12 @@ def unwrap_angles(
     stamps_ns: IntArray, angles: FloatArray, speeds: FloatArray | None = None, turn: float = math.tau
 ) -> FloatArray:
     """(n,) angles of one joint without wraps; a continuous angle is returned as it is."""
-    known = angles[np.isfinite(angles)]
-    if not known.size or not is_within_turn(float(known.min()), float(known.max()), turn):
+    finite = angles[np.isfinite(angles)]
+    if not finite.size or not is_within_turn(float(finite.min()), float(finite.max()), turn):
         return angles
-    if not (np.abs(np.diff(known)) >= _FIRST_WRAP * turn).any():
+    if not (np.abs(np.diff(finite)) >= _FIRST_WRAP * turn).any():
         return angles
     counter = TurnCounter(turn)
-    given = np.full(len(angles), np.nan) if speeds is None else speeds
-    rows = zip(stamps_ns.tolist(), angles.tolist(), given.tolist(), strict=True)
+    known_speeds = np.full(len(angles), np.nan) if speeds is None else speeds
+    rows = zip(stamps_ns.tolist(), angles.tolist(), known_speeds.tolist(), strict=True)
     return np.array([counter.unwrap(*row) for row in rows])

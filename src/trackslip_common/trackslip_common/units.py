@@ -63,7 +63,7 @@ def factor_to_si(where: str, unit: object, *quantities: str) -> tuple[str, float
     for quantity in quantities:
         if name in UNITS[quantity]:
             return quantity, UNITS[quantity][name]
-    accepted = [known for quantity in quantities for known in UNITS[quantity]]
+    accepted = [known_unit for quantity in quantities for known_unit in UNITS[quantity]]
     other = [quantity for quantity in UNITS if name in UNITS[quantity]]
-    what = f"is a unit of {other[0]}" if other else f"is unknown{did_you_mean(name, accepted)}"
-    raise InputError(f"{where}: '{name}' {what}; accepted: {', '.join(accepted)}")
+    problem = f"is a unit of {other[0]}" if other else f"is unknown{did_you_mean(name, accepted)}"
+    raise InputError(f"{where}: '{name}' {problem}; accepted: {', '.join(accepted)}")

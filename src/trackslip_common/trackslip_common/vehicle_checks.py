@@ -29,7 +29,7 @@ class _DerivedQuantity(NamedTuple):
     unit: str
     least: float
     most: float
-    of: str  # the numbers it is derived from, with their units
+    inputs: str  # the numbers it is derived from, with their units
 
 
 def check_consistency(vehicle: "VehicleParameters", where: str) -> None:
@@ -38,31 +38,33 @@ def check_consistency(vehicle: "VehicleParameters", where: str) -> None:
     Raises:
         InputError: some numbers are inconsistent; the message names them, and their units.
     """
-    for one in _derived_quantities(vehicle):
-        if not one.least <= one.value <= one.most:
-            found = f"{one.value:.3g} {one.unit}".rstrip()
-            accepted = f"{one.least:g} to {one.most:g} {one.unit}".rstrip()
-            raise InputError(f"{where}: {one.what} of {found}; accepted: {accepted}, by {one.of}")
+    for quantity in _derived_quantities(vehicle):
+        if not quantity.least <= quantity.value <= quantity.most:
+            value = f"{quantity.value:.3g} {quantity.unit}".rstrip()
+            accepted = f"{quantity.least:g} to {quantity.most:g} {quantity.unit}".rstrip()
+            raise InputError(
+                f"{where}: {quantity.what} of {value}; accepted: {accepted}, by {quantity.inputs}"
+            )
 
 
 def _derived_quantities(vehicle: "VehicleParameters") -> Iterator[_DerivedQuantity]:
     k, m, h, upper = vehicle.kinematics, vehicle.mass, vehicle.hydraulics, vehicle.upper_structure
     if m is not None:
         pressure = m.weight / (2.0 * m.track_width * k.contact_length)
-        of = "mass.mass (kg), mass.track_width and kinematics.contact_length (m)"
-        yield _DerivedQuantity("ground pressure", pressure * 1e-3, "kPa", 0.5, 500.0, of)
+        inputs = "mass.mass (kg), mass.track_width and kinematics.contact_length (m)"
+        yield _DerivedQuantity("ground pressure", pressure * 1e-3, "kPa", 0.5, 500.0, inputs)
         gyration = math.sqrt(m.yaw_inertia / m.mass) / k.contact_length
-        of = "mass.yaw_inertia (kg m²), mass.mass (kg) and kinematics.contact_length (m)"
-        yield _DerivedQuantity("radius of gyration over contact length", gyration, "", 0.1, 3.0, of)
+        inputs = "mass.yaw_inertia (kg m²), mass.mass (kg) and kinematics.contact_length (m)"
+        yield _DerivedQuantity("radius of gyration over contact length", gyration, "", 0.1, 3.0, inputs)
     if h is not None:
         swept = h.motor_displacement * h.gear_ratio / (2.0 * math.pi * k.rolling_radius)  # m³ per m
         speed = h.volumetric_efficiency * h.pump_flow / swept
-        of = "hydraulics.pump_flow (m³/s), motor_displacement (m³), gear_ratio, rolling_radius (m)"
-        yield _DerivedQuantity("top speed", speed, "m/s", 0.01, 30.0, of)
+        inputs = "hydraulics.pump_flow (m³/s), motor_displacement (m³), gear_ratio, rolling_radius (m)"
+        yield _DerivedQuantity("top speed", speed, "m/s", 0.01, 30.0, inputs)
         if m is not None:
             thrust = 2.0 * h.motor_efficiency * swept * h.relief_pressure / m.weight
-            of = "mass.mass (kg), hydraulics.relief_pressure (Pa), motor_displacement (m³) and gear_ratio"
-            yield _DerivedQuantity("thrust over weight", thrust, "", 0.03, 30.0, of)
+            inputs = "mass.mass (kg), hydraulics.relief_pressure (Pa), motor_displacement (m³) and gear_ratio"
+            yield _DerivedQuantity("thrust over weight", thrust, "", 0.03, 30.0, inputs)
     if m is not None and upper is not None:
-        of = "upper_structure.mass and mass.mass (kg)"
-        yield _DerivedQuantity("share of the mass that swings", upper.mass / m.mass, "", 0.01, 1.0, of)
+        inputs = "upper_structure.mass and mass.mass (kg)"
+        yield _DerivedQuantity("share of the mass that swings", upper.mass / m.mass, "", 0.01, 1.0, inputs)

@@ -105,11 +105,11 @@ def _read_numbers(path: Path) -> dict[str, Any]:
     base = values.pop(_BASE, None)
     if base is None:
         return values
-    below = flatten(read_yaml(_find_file(str(base))))
-    if _BASE in below:
+    base_values = flatten(read_yaml(_find_file(str(base))))
+    if _BASE in base_values:
         raise InputError(f"{path}: {_BASE}: '{base}' has one too; accepted: a vehicle without")
-    below.pop(_NAME, None)  # a variant has its own name, or that of its file
-    return {**below, **values}
+    base_values.pop(_NAME, None)  # a variant has its own name, or that of its file
+    return {**base_values, **values}
 
 
 def _resolve_vehicle(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,6 +128,6 @@ def _find_file(name: str) -> Path:
         if candidate.is_file():
             return candidate
     known = vehicle_names()
-    like = get_close_matches(name, known, n=1)
-    hint = f", did you mean '{like[0]}'?" if like else f"; accepted: {', '.join(known)}, or a YAML file"
+    similar = get_close_matches(name, known, n=1)
+    hint = f", did you mean '{similar[0]}'?" if similar else f"; accepted: {', '.join(known)}, or a YAML file"
     raise InputError(f"vehicle '{name}': no such vehicle or file{hint}")

@@ -26,8 +26,8 @@ def check_keys(
     known = (*required, *(key for key in optional if key not in required))
     for key in tree:
         if key not in known:
-            like = did_you_mean(str(key), known)
-            raise InputError(f"{where}: unknown {what} '{key}'{like}; accepted: {', '.join(known)}")
+            hint = did_you_mean(str(key), known)
+            raise InputError(f"{where}: unknown {what} '{key}'{hint}; accepted: {', '.join(known)}")
     for key in required:
         if key not in tree:
             raise InputError(f"{where}: {what} '{key}' is missing; accepted: {', '.join(known)}")
@@ -93,10 +93,10 @@ def positive_number(where: str, value: Any) -> float:
     Raises:
         InputError: the value is no such number.
     """
-    found = number(where, value)
-    if found <= 0.0:
-        raise InputError(f"{where}: {found:g} is out of range; accepted: > 0")
-    return found
+    parsed = number(where, value)
+    if parsed <= 0.0:
+        raise InputError(f"{where}: {parsed:g} is out of range; accepted: > 0")
+    return parsed
 
 
 def nanoseconds(where: str, value: Any) -> int:
@@ -118,6 +118,6 @@ def choice(where: str, value: Any, accepted: Collection[str]) -> str:
         InputError: the value is none of them.
     """
     if not isinstance(value, str) or value not in accepted:
-        like = did_you_mean(str(value), accepted)
-        raise InputError(f"{where}: {value!r} is not accepted{like}; accepted: {', '.join(accepted)}")
+        hint = did_you_mean(str(value), accepted)
+        raise InputError(f"{where}: {value!r} is not accepted{hint}; accepted: {', '.join(accepted)}")
     return value

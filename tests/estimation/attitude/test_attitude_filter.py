@@ -71,7 +71,7 @@ class Ride:
         force[:, 2] -= q * self.speed
         samples["force"] = force + self.random.normal(0.0, noise, force.shape)
         samples["force_variance"] = 0.05**2
-        samples["velocity"][:, 0], samples["known_velocity"], samples["levels"] = self.speed, 1, 1
+        samples["velocity"][:, 0], samples["known_velocity"], samples["use_force"] = self.speed, 1, 1
         return samples
 
 
@@ -172,7 +172,7 @@ def test_acceleration_that_is_not_gravity_leaves_the_ground_flat(force: Any, wor
     samples = Ride(5.0).samples()
     samples["force"] = force
     attitude, means = run(samples)
-    assert attitude["known"] == attitude["level"]["tilted"] == 0
+    assert attitude["known"] == attitude["level"]["known"] == 0
     assert not means.any()
     text = attitude_text(attitude, TOPIC)
     assert text.startswith("flat: ")

@@ -15,7 +15,7 @@ from trackslip_estimation.box.measurement_model import (
     costs,
     fit_input,
     pairwise_sum,
-    ray_cast,
+    predict_scan,
     total_cost,
 )
 
@@ -26,7 +26,7 @@ HEADINGS = np.linspace(-0.7, 0.7, 13)
 
 def box_ranges(pose):
     """Noise-free ranges (361,) of a box alone."""
-    ranges, outline = ray_cast(pose[np.newaxis], BOX, ANGLES)
+    ranges, outline = predict_scan(pose[np.newaxis], BOX, ANGLES)
     return np.where((outline[0, 0] <= ANGLES) & (outline[0, 1] >= ANGLES), ranges[0], np.inf)
 
 
@@ -42,7 +42,7 @@ def fitted(ranges, heading, stddev, indices=None):
 
 
 def test_ray_cast_face_on():
-    ranges, outline = ray_cast(np.array([[5.0, 0.0, 0.0]]), BOX, np.array([0.0, 0.03, 0.5]))
+    ranges, outline = predict_scan(np.array([[5.0, 0.0, 0.0]]), BOX, np.array([0.0, 0.03, 0.5]))
     corner = np.arctan2(0.3, 4.65)
     assert ranges[0] == pytest.approx([4.65, 4.65 / np.cos(0.03), 4.65 / np.cos(corner)])
     assert outline[0] == pytest.approx([-corner, corner])
@@ -52,7 +52,7 @@ def test_rays_end_on_the_outline_of_the_rectangle():
     random = np.random.default_rng(2)
     for _ in range(50):
         x, y, heading = random.uniform([2.0, -5.0, -3.1], [9.0, 5.0, 3.1])
-        (ranges,), ((right, left),) = ray_cast(np.array([[x, y, heading]]), BOX, ANGLES)
+        (ranges,), ((right, left),) = predict_scan(np.array([[x, y, heading]]), BOX, ANGLES)
         hit = (right < ANGLES) & (left > ANGLES)
         dx, dy = ranges * np.cos(ANGLES) - x, ranges * np.sin(ANGLES) - y
         along = np.abs(np.cos(heading) * dx + np.sin(heading) * dy)[hit] / 0.35
@@ -141,7 +141,7 @@ fit.compile_fit()
 before = signatures()
 assert all(before[name] for name in ("_descend", "range_costs")), before
 box, angles = fit.Rectangle(0.7, 0.6), np.linspace(-1.57, 1.57, 361)
-ranges, outline = fit.ray_cast(np.array([[4.0, 1.0, 0.5]]), box, angles)
+ranges, outline = fit.predict_scan(np.array([[4.0, 1.0, 0.5]]), box, angles)
 on = np.flatnonzero((outline[0, 0] <= angles) & (angles <= outline[0, 1]))
 beams = object_beams(on, ranges[0], angles, box.diagonal, 0.05)
 start = fit.likely_starting_poses(np.linspace(0.0, 1.0, 13), box, beams, 0.01)[0]

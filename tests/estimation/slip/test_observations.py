@@ -73,7 +73,7 @@ def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
     level = state["attitude"]["level"]
     if tilted:
         roll, pitch = 0.02, -0.03
-        level["tilted"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
+        level["known"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
         level["across"], level["lean_x"] = math.sin(roll) * math.sin(pitch), math.cos(roll) * math.sin(pitch)
         level["lean_y"] = -math.sin(roll)
     state["offsets"]["variance"], state["offsets"]["errors"]["f"] = 0.5, 1.0

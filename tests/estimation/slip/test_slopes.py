@@ -147,7 +147,7 @@ def test_slip_variance_is_inflated_when_the_slope_reverses() -> None:
     k = 2.3
     state = np.zeros(1, STATE)[0]
     level, speeds = state["attitude"]["level"], state["speeds"]
-    state["mean"][DOWNHILL], level["tilted"] = k, 1
+    state["mean"][DOWNHILL], level["known"] = k, 1
     deviations = []
     for down, turned in ((-0.26, 2.0), (-0.26, 2.0), (-0.26, 0.0), (0.26, 2.0)):
         state["covariance"][DOWNHILL, DOWNHILL] = 1e-4

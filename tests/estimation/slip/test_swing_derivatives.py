@@ -37,7 +37,7 @@ def test_lever_arm_on_the_cab_is_transformed_and_inverted(tilted: bool) -> None:
     level = state["attitude"]["level"]
     if tilted:
         roll, pitch = 0.1, -0.2
-        level["tilted"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
+        level["known"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
         level["across"], level["lean_x"] = math.sin(roll) * math.sin(pitch), math.cos(roll) * math.sin(pitch)
         level["lean_y"] = -math.sin(roll)
 

@@ -212,21 +212,21 @@ def test_batches_of_inputs_give_the_same_bits_as_single_ones(chunk: int) -> None
         column = [getattr(o, name) for o in expected if isinstance(o, TrackForces)]
         np.testing.assert_array_equal(forces[name], column)
     assert replayed.tally.total == live.tally.total
-    assert replayed.is_stuck == live.is_stuck
+    assert replayed.stuck == live.stuck
 
 
 def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None:
     ordinary, spinning = SoilEstimator(P), SoilEstimator(P)
     run(inputs_of(), ordinary)
-    assert ordinary.is_stuck == (False, False)
+    assert ordinary.stuck == (False, False)
     outputs = run(inputs_of("clayey_soil", SPINNING), spinning)
-    assert spinning.is_stuck == (False, True)
+    assert spinning.stuck == (False, True)
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1 < last.reserve[0]
     patient = spinning.parameters.changed({"stuck_time": 1e6})
     spinning.set_parameters(patient)
-    assert spinning.is_stuck == (False, False)
+    assert spinning.stuck == (False, False)
     stuck = {"high_slip", "stuck_time", "stuck_probability"}
     assert reloadable_names(SoilEstimatorParameters) == {"low_reserve"} | stuck
 
@@ -238,7 +238,7 @@ def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
-    assert estimator.is_stuck == (False, False)
+    assert estimator.stuck == (False, False)
 
 
 def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
@@ -254,7 +254,7 @@ def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
-    assert estimator.is_stuck == (False, False)
+    assert estimator.stuck == (False, False)
 
 
 def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None:

@@ -153,4 +153,4 @@ def play(
     show: Callable[[Playback], None],
 ) -> int:
     """Play to the end or until Ctrl-C; returns the exit code."""
-    return run(lambda: PlayerNode(playback, topics, keys, show), argv=[], interrupted=ExitCode.INTERRUPTED)
+    return run(lambda: PlayerNode(playback, topics, keys, show), argv=[], interrupt_code=ExitCode.INTERRUPTED)

@@ -45,10 +45,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
         super().__init__(name)
         common = CommonParameters(autostart=True, realtime_priority=self.realtime_priority)
-        given = node_parameters.read_overrides(self, name, common, parameters, default_files)
+        records = node_parameters.read_overrides(self, name, common, parameters, default_files)
         self.what = name  # kind of node, independent of its ROS name
-        self.common, self.settings = given
-        for record in given:
+        self.common, self.settings = records
+        for record in records:
             node_parameters.declare_parameters(self, record)
         self._settings_in_use: P = self.settings
         self.has_run = False  # whether the node was active since it was configured

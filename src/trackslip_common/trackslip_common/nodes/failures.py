@@ -92,10 +92,10 @@ class CallbackFailures:
             self._streak += 1
             self._counts[name] += 1
             self._last_s, self.last = now_s, text
-            is_news = now_s - self._logged_s.get(text, -LOG_PERIOD_S) >= LOG_PERIOD_S
-            if is_news:
+            is_logged = now_s - self._logged_s.get(text, -LOG_PERIOD_S) >= LOG_PERIOD_S
+            if is_logged:
                 self._logged_s[text] = now_s
-        if is_news:
+        if is_logged:
             self._log(f"callback failed: {text}")
 
     @property
@@ -111,7 +111,11 @@ class CallbackFailures:
         if not counts:
             return []
         values: dict[str, Any] = {f"failed: {name}": n for name, n in sorted(counts.items())}
-        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}", "last failure at": utc_date(ago_s)}
+        values |= {
+            "last failure": last,
+            "age of the last failure (s)": f"{ago_s:.1f}",
+            "last failure at": utc_date(ago_s),
+        }
         failed = f"{sum(counts.values())} callbacks failed; the last: {last}"
         level, message = (ERROR, failed) if ago_s < RECENT_S else (OK, "running")
         return [Health(level, message, values, "callbacks")]
@@ -158,10 +162,10 @@ class SendFailures:
     def health(self) -> list[Health]:
         """Messages that could not be sent, by topic; empty if there were none."""
         counts = dict(self.counts)
-        news, self._reported = sum(counts.values()) - self._reported, sum(counts.values())
+        new, self._reported = sum(counts.values()) - self._reported, sum(counts.values())
         if not counts:
             return []
-        level, message = (WARN, f"{news} messages could not be sent") if news else (OK, "running")
+        level, message = (WARN, f"{new} messages could not be sent") if new else (OK, "running")
         return [Health(level, message, {f"not sent: {topic}": n for topic, n in counts.items()}, "outputs")]
 
     def _count_failure(self, name: str, reason: object) -> None:

@@ -65,14 +65,14 @@ class StateLog:
 
     def log_changes(self, entries: Iterable[Health]) -> None:
         """Log the changes in the present entries."""
-        now = {entry.part: entry for entry in entries}
-        over = {part: Health(OK, "is over", part=part) for part in self._logged.keys() - now.keys()}
-        for part, entry in {**now, **over}.items():
+        present = {entry.part: entry for entry in entries}
+        ended = {part: Health(OK, "is over", part=part) for part in self._logged.keys() - present.keys()}
+        for part, entry in {**present, **ended}.items():
             state = entry.level, _NUMBER.sub("#", entry.message)
             time_s = self._clock()
             if state == self._logged.get(part) or time_s - self._logged_s.get(part, -_PAUSE_S) < _PAUSE_S:
                 continue
-            if part not in over:
+            if part not in ended:
                 self._logged[part], self._logged_s[part] = state, time_s
             elif self._logged.pop(part)[0] == OK:
                 continue

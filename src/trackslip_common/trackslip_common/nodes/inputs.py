@@ -32,14 +32,14 @@ class Inputs:
         """An error if an input floods or has several publishers, whose messages look like one sensor's."""
         counts = {topic: self._node.count_publishers(topic) for topic in sorted(self._topics)}
         several = {topic: count for topic, count in counts.items() if count > 1}
-        floods = self._flood.new_drops()
+        new_drops = self._flood.new_drops()
         findings = [f"several publishers of {', '.join(several)}"] if several else []
-        findings += [f"{count} messages of {topic} were too many" for topic, count in floods.items()]
+        findings += [f"{count} messages of {topic} were too many" for topic, count in new_drops.items()]
         if not findings:
             return []
         values: dict[str, Any] = dict(several)
         values |= {f"{topic} dropped": count for topic, count in self._flood.dropped.items()}
-        values |= {f"publishers of {topic}": self._publishers(topic) for topic in {**several, **floods}}
+        values |= {f"publishers of {topic}": self._publishers(topic) for topic in {**several, **new_drops}}
         return [Health(ERROR, "; ".join(findings), values, part="inputs")]
 
     def _publishers(self, topic: str) -> str:

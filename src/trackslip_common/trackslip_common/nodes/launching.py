@@ -93,13 +93,13 @@ def _discovery_settings() -> list[DeclareLaunchArgument | SetEnvironmentVariable
 
     Fast DDS gets our profile, which states the reason.
     """
-    about = "addresses of further computers, such as an operator's laptop, parted by ;"
-    set_range, set_peers = (
+    description = "addresses of further computers, such as an operator's laptop, separated by ;"
+    range_value, peers = (
         EnvironmentVariable(name, default_value=default) for name, default in (_RANGE, _PEERS)
     )
     return [
-        DeclareLaunchArgument("peers", default_value=set_peers, description=about),
-        SetEnvironmentVariable(_RANGE[0], set_range),
+        DeclareLaunchArgument("peers", default_value=peers, description=description),
+        SetEnvironmentVariable(_RANGE[0], range_value),
         SetEnvironmentVariable(_PEERS[0], LaunchConfiguration("peers")),
         *(
             SetEnvironmentVariable(name, EnvironmentVariable(name, default_value=str(config_file(file))))
@@ -114,12 +114,12 @@ def make_nodes(context: LaunchContext, requested: Iterable[LaunchedNode]) -> lis
     Raises:
         InputError: the value of an argument is rejected.
     """
-    chosen = enabled_nodes(context, requested)
-    names = _used_arguments(one.executable for one in chosen)
-    given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    given["params_file"] = _parameter_file(given["params_file"])
+    enabled = enabled_nodes(context, requested)
+    names = _used_arguments(node.executable for node in enabled)
+    arguments = {name: LaunchConfiguration(name).perform(context) for name in names}
+    arguments["params_file"] = _parameter_file(arguments["params_file"])
     switches = {name: is_switched_on(context, name) for name in names if _is_switch(name)}
-    return [_make_node(one, given, switches) for one in chosen]
+    return [_make_node(node, arguments, switches) for node in enabled]
 
 
 def enabled_nodes(context: LaunchContext, requested: Iterable[LaunchedNode]) -> list[LaunchedNode]:
@@ -129,9 +129,9 @@ def enabled_nodes(context: LaunchContext, requested: Iterable[LaunchedNode]) -> 
         InputError: a switch is neither on nor off.
     """
     return [
-        one
-        for one in requested
-        if one.executable not in _SWITCH_OF_NODE or is_switched_on(context, _SWITCH_OF_NODE[one.executable])
+        node
+        for node in requested
+        if node.executable not in _SWITCH_OF_NODE or is_switched_on(context, _SWITCH_OF_NODE[node.executable])
     ]
 
 
@@ -157,40 +157,46 @@ def number_argument(context: LaunchContext, name: str, kind: type[int] | type[fl
     try:
         return kind(text)
     except ValueError:
-        requested = "a whole number" if kind is int else "a number"
-        raise InputError(f"{name}: '{text}' is refused; accepted: {requested}") from None
+        accepted = "a whole number" if kind is int else "a number"
+        raise InputError(f"{name}: '{text}' is refused; accepted: {accepted}") from None
 
 
 def _is_switch(name: str) -> bool:
     return _ARGUMENTS[name][0] in ("true", "false")
 
 
-def _parameter_file(given: str) -> str:
-    """The path given, or empty. Launch would only warn of a missing file, and start all nodes without it."""
-    path = Path(given).expanduser()
-    if given and not path.is_file():
-        raise InputError(f"params_file: '{given}' is not a file; accepted: the path of a ROS parameter file")
-    return str(path) if given else ""
+def _parameter_file(name: str) -> str:
+    """The path of this name, or empty. Launch would only warn of a missing file, and start without it."""
+    path = Path(name).expanduser()
+    if name and not path.is_file():
+        raise InputError(f"params_file: '{name}' is not a file; accepted: the path of a ROS parameter file")
+    return str(path) if name else ""
 
 
-def _make_node(one: LaunchedNode, given: Mapping[str, str], switches: Mapping[str, bool]) -> Node:
-    parameters = {"use_sim_time": switches["use_sim_time"], **one.parameters}
-    if one.executable in _NODES_WITH_VEHICLE and given["vehicle"]:
-        parameters["vehicle"] = given["vehicle"]
-    files = [given["params_file"]] if given["params_file"] else []
+def _make_node(node: LaunchedNode, arguments: Mapping[str, str], switches: Mapping[str, bool]) -> Node:
+    parameters = {"use_sim_time": switches["use_sim_time"], **node.parameters}
+    if node.executable in _NODES_WITH_VEHICLE and arguments["vehicle"]:
+        parameters["vehicle"] = arguments["vehicle"]
+    files = [arguments["params_file"]] if arguments["params_file"] else []
     receiver = []
-    if one.executable == "slip_estimator":
+    if node.executable == "slip_estimator":
         parameters |= _source_parameters({name for name in _SOURCE_SWITCHES if switches[name]})
         receiver = [str(config_file("gnss.yaml"))] if switches["gnss"] else []
-    if one.executable in _NODES_WITH_PREFIX and given["namespace"].strip("/"):
-        parameters["frame_prefix"] = given["namespace"].strip("/") + "/"
+    if node.executable in _NODES_WITH_PREFIX and arguments["namespace"].strip("/"):
+        parameters["frame_prefix"] = arguments["namespace"].strip("/") + "/"
     return Node(
-        package=one.package,
-        executable=one.executable,
-        name=one.executable,
-        namespace=given["namespace"],
+        package=node.package,
+        executable=node.executable,
+        name=node.executable,
+        namespace=arguments["namespace"],
         parameters=[*receiver, parameters, *files],
-        arguments=["--ros-args", "--log-level", given["log_level"], "--enclave", _enclave(one, given)],
+        arguments=[
+            "--ros-args",
+            "--log-level",
+            arguments["log_level"],
+            "--enclave",
+            _enclave(node, arguments),
+        ],
         output="screen",
         **(_respawn_options() if switches["respawn"] else {}),
     )
@@ -208,9 +214,9 @@ def _cancel_respawn(event: ProcessExited, _context: LaunchContext) -> EmitEvent 
     return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
-def _enclave(one: LaunchedNode, given: Mapping[str, str]) -> str:
+def _enclave(node: LaunchedNode, arguments: Mapping[str, str]) -> str:
     """Enclave of the node's keys in the keystore, as in ``deploy/security/policy.xml``."""
-    return "/".join(("", *filter(None, given["namespace"].split("/")), one.executable))
+    return "/".join(("", *filter(None, arguments["namespace"].split("/")), node.executable))
 
 
 def _source_parameters(sensors: set[str]) -> dict[str, Any]:

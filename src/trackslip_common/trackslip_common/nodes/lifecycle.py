@@ -118,8 +118,8 @@ class SelfStartingNode(LifecycleNode):
         try:
             work()
         except (InputError, OSError) as error:
-            known = isinstance(error, InputError)
-            self._failure = error if known else InputError(f"{self.get_name()}: {error}")
+            is_input_error = isinstance(error, InputError)
+            self._failure = error if is_input_error else InputError(f"{self.get_name()}: {error}")
             if not self._starting:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE

@@ -21,8 +21,8 @@ _NUMBERS = {"boolean": "bool", "double": "float64", "float": "float32", "octet":
 def message_class(type_name: str) -> type:
     """The class of ``package/msg/Name``."""
     package, kind, name = type_name.split("/")
-    found: type = getattr(importlib.import_module(f"{package}.{kind}"), name)
-    return found
+    cls: type = getattr(importlib.import_module(f"{package}.{kind}"), name)
+    return cls
 
 
 def make(type_name: str, **fields: Any) -> Any:
@@ -55,8 +55,8 @@ def packed_topic(kind: type) -> PackedTopic:
 
 def _parse_field(name: str, text: str) -> Field:
     """A field from rclpy's text: ``double``, ``double[9]``, ``sequence<string>``, ``std_msgs/Header`` etc."""
-    found = _FIELD.fullmatch(text)
-    assert found is not None, text
-    kind, kept, count = found.groups()
+    match = _FIELD.fullmatch(text)
+    assert match is not None, text
+    kind, suffix, count = match.groups()
     kind = kind.replace("/", "/msg/") if "/" in kind else _NUMBERS.get(kind, kind)
-    return Field(name, kind, int(count) if count else ANY_LENGTH if kept else None)
+    return Field(name, kind, int(count) if count else ANY_LENGTH if suffix else None)

@@ -50,34 +50,36 @@ def read_overrides(
     Raises:
         InputError: a parameter is unknown, of a wrong type or out of range.
     """
-    given = {
+    overrides = {
         key: entry.value
         for key, entry in node.get_parameters_by_prefix("").items()
         if not key.startswith(_ROS_PARAMETERS)
     }
-    for key in given:
+    for key in overrides:
         node.undeclare_parameter(key)
     shared = to_flat(common)
-    shared |= {key: given.pop(key) for key in shared.keys() & given.keys()}
+    shared |= {key: overrides.pop(key) for key in shared.keys() & overrides.keys()}
     name, defaults = node.get_name(), node_defaults(what, *default_files)
     shared_names = _names_in_shared_sections(sys.argv)
-    if shared_names & given.keys():
-        known = {*known_names(kind, kind.overlay(defaults, given), name), *kind.EXTRA_NAMES}
-        for key in sorted(shared_names & given.keys() - known):
-            node.get_logger().info(f"parameter '{key}', given to many nodes, is none of this one")
-            del given[key]
-    return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlay(defaults, given), name)
+    if shared_names & overrides.keys():
+        known = {*known_names(kind, kind.overlay(defaults, overrides), name), *kind.EXTRA_NAMES}
+        for key in sorted(shared_names & overrides.keys() - known):
+            node.get_logger().info(
+                f"parameter '{key}' is set for many nodes, and ignored: this node has none of that name"
+            )
+            del overrides[key]
+    return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlay(defaults, overrides), name)
 
 
 def _names_in_shared_sections(arguments: Sequence[str]) -> frozenset[str]:
     """Dotted names in sections such as ``/**`` of the parameter files of a command line."""
     files = [file for flag, file in pairwise(arguments) if flag == "--params-file"]
-    found: set[str] = set()
+    names: set[str] = set()
     for file in files:
         with suppress(InputError):  # rcl has read or rejected the file
             sections = [body for name, body in read_yaml(Path(file)).items() if "*" in name]
-            found.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
-    return frozenset(found)
+            names.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
+    return frozenset(names)
 
 
 def declare_parameters(node: Node, record: Parameters) -> None:

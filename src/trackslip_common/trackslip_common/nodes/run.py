@@ -63,16 +63,15 @@ def run(
     argv: Sequence[str] | None = None,
     make_executor: Callable[[], Any] = Executor,
     niceness: int = 0,
-    interrupted: ExitCode = ExitCode.DONE,
+    interrupt_code: ExitCode = ExitCode.DONE,
 ) -> int:
     """Spin the node until SIGINT or SIGTERM; returns the exit code.
 
-    ``interrupted``: code after SIGINT, a node's regular end unless it has something to finish.
+    ``interrupt_code``: code after SIGINT, a node's regular end unless it has something to finish.
     ``niceness``: for a node that is not used for control; with few cores the others then run first.
     """
-    collect_garbage_seldom(
-        _GARBAGE_THRESHOLD
-    )  # with Python's threshold, a working node collects every second
+    # with Python's threshold, a working node collects every second
+    collect_garbage_seldom(_GARBAGE_THRESHOLD)
     os.nice(niceness)  # before the middleware starts its threads, which inherit it
     signals = _StopSignals()
     node: TrackslipNode[Any] | None = None
@@ -106,7 +105,7 @@ def run(
             node.end()
             node.destroy_node()
         rclpy.try_shutdown()
-    return interrupted if signal.SIGINT in signals.received else ExitCode.DONE
+    return interrupt_code if signal.SIGINT in signals.received else ExitCode.DONE
 
 
 def _spin(node: TrackslipNode[Any], executor: Any, signals: _StopSignals) -> None:

@@ -86,8 +86,8 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
     Returns the ``AttitudeRejection`` of the sample's orientation; 0 if it was used or is not requested.
     """
     imu = a.sample
-    if imu.lost == 1 and a.seen == 0:
-        a.rejection = SWING_UNKNOWN if imu.oriented == 1 else 0
+    if imu.swing_unknown == 1 and a.seen == 0:
+        a.rejection = SWING_UNKNOWN if imu.use_orientation == 1 else 0
         return int(a.rejection)
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
@@ -95,7 +95,7 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
         _propagate_tilt(a, _unbiased_rates(a), dt, n)
         if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
             a.known = 0
-    a.rejection = update_with_orientation(a, n) if imu.oriented == 1 else 0
+    a.rejection = update_with_orientation(a, n) if imu.use_orientation == 1 else 0
     if _filter_force(a, dt, n) and is_gravity(a):
         if a.known == 0:
             initialise_from_gravity(a, n)
@@ -117,7 +117,7 @@ def _has_rates(imu: ImuSample) -> bool:
     """Whether the IMU measures the rates about x and y."""
     p, q = imu.rates[0], imu.rates[1]
     return (
-        imu.lost == 0
+        imu.swing_unknown == 0
         and math.isfinite(p + q)
         and 0.0 <= imu.rate_variances[0] < _UNMEASURED_RATE_VARIANCE
         and 0.0 <= imu.rate_variances[1] < _UNMEASURED_RATE_VARIANCE
@@ -152,7 +152,7 @@ def has_force(imu: ImuSample) -> bool:
 def _filter_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
     """Low-pass the force; return whether it may correct the tilt."""
     force = specific_force(a.sample)
-    if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
+    if a.sample.use_force == 0 or a.sample.swing_unknown == 1 or not has_force(a.sample):
         return False
     share = 1.0 if a.seen == 0 or dt > LONGEST_GAP else -math.expm1(-dt / n.mean_time)
     for i in range(3):
@@ -172,18 +172,18 @@ def _imu_velocity(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[fl
 def _propagate_tilt(a: Attitude, rates: tuple[float, float, float], dt: float, n: AttitudeConstants) -> None:
     """Propagate roll and pitch over ``dt`` s with the mean of the rates at both ends."""
     x, P, imu = a.mean[:], a.covariance[:], a.sample
-    known = 0.5 if dt <= LONGEST_GAP else 0.0
+    weight = 0.5 if dt <= LONGEST_GAP else 0.0
     p, q, r = (
-        known * (rates[0] + a.rates[0]),
-        known * (rates[1] + a.rates[1]),
-        known * (rates[2] + a.rates[2]),
+        weight * (rates[0] + a.rates[0]),
+        weight * (rates[1] + a.rates[1]),
+        weight * (rates[2] + a.rates[2]),
     )
     roll, pitch = x[ROLL], x[PITCH]
     sin, cos, tan = math.sin(roll), math.cos(roll), math.tan(pitch)
     half_roll = roll + (p + tan * (q * sin + r * cos)) * dt / 2.0
     half_pitch = pitch + (q * cos - r * sin) * dt / 2.0
     sin, cos, tan = math.sin(half_roll), math.cos(half_roll), math.tan(half_pitch)
-    of_roll, of_pitch = p + tan * (q * sin + r * cos), q * cos - r * sin
+    roll_rate, pitch_rate = p + tan * (q * sin + r * cos), q * cos - r * sin
     F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
     F[ROLL, ROLL] += tan * (q * cos - r * sin) * dt
     F[ROLL, PITCH] = (1.0 + tan * tan) * (q * sin + r * cos) * dt
@@ -193,17 +193,17 @@ def _propagate_tilt(a: Attitude, rates: tuple[float, float, float], dt: float, n
     F[PITCH, BIAS_P], F[PITCH, BIAS_Q] = -cos * imu.sin * dt, -cos * imu.cos * dt
     for i in range(SIZE):
         Q[i, i] = n.walk[i] * dt
-    by_roll = by_pitch = n.ground_rate**2 * n.scale_time
-    if known > 0.0 and _has_rates(imu):
-        by_scale = n.gyro_scale_stddev**2 * n.scale_time
-        of_p, of_q = imu.rate_variances[0], imu.rate_variances[1]
-        by_roll = (imu.cos**2 * of_p + imu.sin**2 * of_q) * dt + by_scale * of_roll**2
-        by_pitch = (imu.sin**2 * of_p + imu.cos**2 * of_q) * dt + by_scale * of_pitch**2
-    Q[ROLL, ROLL] += by_roll * dt
-    Q[PITCH, PITCH] += by_pitch * dt
-    x[ROLL] += of_roll * dt
-    x[PITCH] += of_pitch * dt
-    accumulate_rotation(a, of_roll * dt, of_pitch * dt)
+    roll_noise = pitch_noise = n.ground_rate**2 * n.scale_time
+    if weight > 0.0 and _has_rates(imu):
+        scale_noise = n.gyro_scale_stddev**2 * n.scale_time
+        p_variance, q_variance = imu.rate_variances[0], imu.rate_variances[1]
+        roll_noise = (imu.cos**2 * p_variance + imu.sin**2 * q_variance) * dt + scale_noise * roll_rate**2
+        pitch_noise = (imu.sin**2 * p_variance + imu.cos**2 * q_variance) * dt + scale_noise * pitch_rate**2
+    Q[ROLL, ROLL] += roll_noise * dt
+    Q[PITCH, PITCH] += pitch_noise * dt
+    x[ROLL] += roll_rate * dt
+    x[PITCH] += pitch_rate * dt
+    accumulate_rotation(a, roll_rate * dt, pitch_rate * dt)
     propagate_covariance(P, F, Q, PITCH + 1)
 
 
@@ -236,12 +236,12 @@ def _update_axis(
     predicted = predicted_covariance(P, H)[0, 0]
     noise = max(a.noise[axis], stated)
     share = noise / (predicted + noise + spread)
-    shown = min(innovation * innovation, n.outlier_nis * (predicted + noise)) - predicted
-    a.noise[axis] = max(a.noise[axis] + share * (shown - a.noise[axis]) / (a.noise_count[axis] + 1.0), 0.0)
-    R, most = max(a.noise[axis], stated), 1.0
+    measured = min(innovation * innovation, n.outlier_nis * (predicted + noise)) - predicted
+    a.noise[axis] = max(a.noise[axis] + share * (measured - a.noise[axis]) / (a.noise_count[axis] + 1.0), 0.0)
+    R, longest = max(a.noise[axis], stated), 1.0
     if dt > 0.0:
-        R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
-    a.noise_count[axis] = min(a.noise_count[axis] + share, most)
+        R, longest = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
+    a.noise_count[axis] = min(a.noise_count[axis] + share, longest)
     R = max(R + spread, innovation * innovation / n.outlier_nis - predicted)
     correct(a.mean[:], P, independent_observation(np.array((innovation,)), H, np.array(((R,),))))
 

@@ -22,20 +22,20 @@ _CORRELATION_TIMES = 1.0, 10.0  # s, correlation times of the errors of tilt and
 def set_level(a: Attitude) -> None:
     """Set the ``level`` of the record ``a`` of ``ATTITUDE`` from its tilt and rates, in place."""
     level, P = a.level, a.covariance
-    level.tilted = a.known
+    level.known = a.known
     roll, pitch = (a.mean[ROLL], a.mean[PITCH]) if a.known == 1 else (0.0, 0.0)
     sin, cos, sin_pitch, cos_pitch = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
     level.forward, level.sideways, level.across = cos_pitch - 1.0, cos - 1.0, sin * sin_pitch
-    level.turn, level.roll_over = cos / cos_pitch - 1.0, a.rates[1] * sin / cos_pitch
+    level.turn, level.yaw_rate_offset = cos / cos_pitch - 1.0, a.rates[1] * sin / cos_pitch
     level.downhill_x, level.downhill_y = sin_pitch, -sin * cos_pitch
     level.lean_x, level.lean_y = cos * sin_pitch, -sin
     level.lean_variance = max(P[ROLL, ROLL], P[PITCH, PITCH]) if a.known == 1 else 0.0
     by_roll = (a.rates[1] * cos - a.rates[2] * sin) / cos_pitch
-    of_tilt, of_bias = _CORRELATION_TIMES
+    tilt_time, bias_time = _CORRELATION_TIMES
     level.turn_variance = 0.0
     if a.known == 1:
-        level.turn_variance = by_roll**2 * P[ROLL, ROLL] * of_tilt
-        level.turn_variance += (sin / cos_pitch) ** 2 * P[BIAS_Q, BIAS_Q] * of_bias
+        level.turn_variance = by_roll**2 * P[ROLL, ROLL] * tilt_time
+        level.turn_variance += (sin / cos_pitch) ** 2 * P[BIAS_Q, BIAS_Q] * bias_time
 
 
 @compiled

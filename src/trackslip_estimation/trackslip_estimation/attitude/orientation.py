@@ -51,7 +51,7 @@ def update_with_orientation(a: Attitude, n: AttitudeConstants) -> int:
     size = math.sqrt(imu.up[0] ** 2 + imu.up[1] ** 2 + imu.up[2] ** 2)
     if not abs(size - 1.0) < _NORM_TOLERANCE:
         return _NO_ROTATION
-    if imu.lost == 1:
+    if imu.swing_unknown == 1:
         return SWING_UNKNOWN
     up_x = (imu.cos * imu.up[0] - imu.sin * imu.up[1]) / size
     up_y = (imu.sin * imu.up[0] + imu.cos * imu.up[1]) / size

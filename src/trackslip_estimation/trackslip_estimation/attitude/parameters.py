@@ -76,14 +76,12 @@ CONSTANTS = dtype_of(AttitudeConstants)
 
 def constants(p: AttitudeParameters, *, measures_height: bool) -> Any:
     """A record of ``CONSTANTS``; the height is 0 at the start unless fixes measure it."""
-    found = np.zeros(1, CONSTANTS)[0]
-    fill_record(found, p)
-    found["initial"][[ROLL, PITCH]], found["initial"][HEIGHT] = (
-        _INITIAL_TILT_STDDEV,
-        _INITIAL_HEIGHT_STDDEV if measures_height else 0.0,
-    )
-    found["initial"][[BIAS_P, BIAS_Q]] = p.initial_gyro_bias_stddev
-    found["initial"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias_stddev
-    found["walk"][[BIAS_P, BIAS_Q]] = p.gyro_bias**2
-    found["walk"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias**2
-    return found
+    record = np.zeros(1, CONSTANTS)[0]
+    fill_record(record, p)
+    record["initial"][[ROLL, PITCH]] = _INITIAL_TILT_STDDEV
+    record["initial"][HEIGHT] = _INITIAL_HEIGHT_STDDEV if measures_height else 0.0
+    record["initial"][[BIAS_P, BIAS_Q]] = p.initial_gyro_bias_stddev
+    record["initial"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias_stddev
+    record["walk"][[BIAS_P, BIAS_Q]] = p.gyro_bias**2
+    record["walk"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias**2
+    return record

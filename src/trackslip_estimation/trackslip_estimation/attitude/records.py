@@ -30,18 +30,18 @@ class AttitudeRejection(IntEnum):
 class Level(Record):
     """Effect of the attitude on a motion along the ground; zero where ground is flat or attitude unknown."""
 
-    tilted: int  # 0 or 1: whether the attitude is known
+    known: int  # 0 or 1: whether the attitude is known
     forward: float  # cos θ − 1
     across: float  # sin φ sin θ
     sideways: float  # cos φ − 1
     turn: float  # cos φ / cos θ − 1
-    roll_over: float  # q sin φ / cos θ, rad/s
+    yaw_rate_offset: float  # q sin φ / cos θ, part of the yaw rate due to the pitch rate, rad/s
     downhill_x: float  # sin θ
     downhill_y: float  # −sin φ cos θ
     lean_x: float  # cos φ sin θ: forward displacement of a point above C, per m of height
     lean_y: float  # −sin φ: displacement to the left
     lean_variance: float  # variance of both
-    turn_variance: float  # noise density of the yaw rate by errors of the attitude, rad²/s
+    turn_variance: float  # noise density of the yaw rate due to errors of the attitude, rad²/s
 
 
 LEVEL = dtype_of(Level)
@@ -55,16 +55,16 @@ class ImuSample(Record):
     rate_variances: Annotated[FloatArray, 3]
     force: Annotated[FloatArray, 3]  # specific force, upward at rest, m/s²; nan if not measured
     force_variance: float
-    levels: int  # 0 or 1: whether the force may correct the tilt
+    use_force: int  # 0 or 1: whether the force may correct the tilt
     up: Annotated[FloatArray, 3]  # up vector by its orientation
     up_variances: Annotated[FloatArray, 2]  # of rotations about x and y, rad²; −1: no orientation
-    oriented: int  # 0 or 1: whether the orientation may correct the tilt
+    use_orientation: int  # 0 or 1: whether the orientation may correct the tilt
     velocity: Annotated[FloatArray, 2]  # of C along the tracks, m/s
     known_velocity: int  # 0 or 1: whether the velocity is known
     lever: Annotated[FloatArray, 3]  # lever arm of the IMU in base_link, m
     turn: float  # yaw angle of its x and y axes against base_link, rad
     turn_variance: float  # of this angle, rad²
-    lost: int  # 0 or 1: whether this angle is unknown; then the sample corrects nothing
+    swing_unknown: int  # 0 or 1: whether this angle is unknown; then the sample corrects nothing
     cos: float  # of this angle, set on use
     sin: float
 
@@ -85,13 +85,13 @@ class Span(Record):
     known: int  # 0 or 1: whether u is known throughout
 
 
-class Climb(Record):
+class Altitudes(Record):
     """The last altitude used, and those rejected since (``slip.observations.altitude``)."""
 
     used_ns: int  # stamp of the last altitude that was used
-    refused: int  # number of altitudes outside the gate since, in a row, that agree
+    rejections: int  # number of altitudes outside the gate since, in a row, that agree
     rejected_ns: int  # stamp of the first of these altitudes
-    apart: float  # innovation of the first, m
+    innovation: float  # of the first, m
 
 
 class Attitude(Record):
@@ -110,7 +110,7 @@ class Attitude(Record):
     noise_count: Annotated[FloatArray, 2]  # effective number of samples in ``noise``
     oriented_ns: int  # stamp of the last orientation that was used
     rejection: int  # ``AttitudeRejection`` of the last orientation; 0: used, or not requested
-    climb: Climb
+    altitudes: Altitudes
     level: Level
 
 

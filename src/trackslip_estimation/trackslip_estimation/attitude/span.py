@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Means of accelerations over a span of samples, which update the tilt at its end; compiled.
 
-    T       length of the span: at least SHORTEST, or one sample after a gap           s
+    T       length of the span: at least LEAST_SPAN_TIME, or one sample after a gap    s
     f̄       mean of f − ω × u                                                          m/s²
     φ̄, θ̄    mean roll and pitch: those at the end, less the mean rotation by the gyro until then     rad
     u̇       (u − u₀)/T, by the velocities of the IMU at both ends                      m/s²
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude
 
 LONGEST_GAP = 0.5  # s, longest gap between consecutive samples
-LEAST_SPAN_TIME = (
-    0.08  # s, least T: the pitch error is the same for 0.5, and three times as large without spans
-)
+# s, least T: the pitch error is the same for 0.5, and three times as large without spans
+LEAST_SPAN_TIME = 0.08
 
 
 @compiled

@@ -32,7 +32,7 @@ def reset_attitude(a: Attitude) -> None:
     a.oriented_ns = NEVER_NS
     a.mean[:], a.covariance[:] = 0.0, 0.0
     a.rates[:], a.mean_force[:], a.sample.force[:], a.span.begun = 0.0, 0.0, np.nan, 0
-    a.climb.used_ns, a.climb.refused = NEVER_NS, 0
+    a.altitudes.used_ns, a.altitudes.rejections = NEVER_NS, 0
     set_level(a)
 
 

@@ -29,26 +29,28 @@ def attitude_text(a: Attitude, source: str | None) -> str:
     if int(a["known"]) == 0:
         return f"flat: {_unknown_reason(a, source)}{_rejection_text(a, source)}"
     roll, pitch, height = (float(a["mean"][k]) for k in (ROLL, PITCH, HEIGHT))
-    of_roll, of_pitch, of_height = (math.sqrt(float(a["covariance"][k, k])) for k in (ROLL, PITCH, HEIGHT))
-    tilt = f"roll {math.degrees(roll):.1f}° ± {math.degrees(of_roll):.1f}"
-    tilt += f", pitch {math.degrees(pitch):.1f}° ± {math.degrees(of_pitch):.1f} (nose down positive)"
-    rises = (
-        f"{height:.2f} m ± {of_height:.2f}"
-        if of_height < _UNKNOWN_HEIGHT_STDDEV
+    roll_stddev, pitch_stddev, height_stddev = (
+        math.sqrt(float(a["covariance"][k, k])) for k in (ROLL, PITCH, HEIGHT)
+    )
+    tilt = f"roll {math.degrees(roll):.1f}° ± {math.degrees(roll_stddev):.1f}"
+    tilt += f", pitch {math.degrees(pitch):.1f}° ± {math.degrees(pitch_stddev):.1f} (nose down positive)"
+    height_text = (
+        f"{height:.2f} m ± {height_stddev:.2f}"
+        if height_stddev < _UNKNOWN_HEIGHT_STDDEV
         else "unknown until a fix has an altitude"
     )
-    return f"{tilt}, height {rises}{_bias_text(a, source)}{_rejection_text(a, source)}"
+    return f"{tilt}, height {height_text}{_bias_text(a, source)}{_rejection_text(a, source)}"
 
 
 def _unknown_reason(a: Attitude, source: str) -> str:
     """Why the attitude is unknown."""
-    if int(a["sample"]["lost"]) == 1:
+    if int(a["sample"]["swing_unknown"]) == 1:
         variance = float(a["sample"]["turn_variance"])
-        swing = f" (± {math.degrees(math.sqrt(variance)):.0f}°)" if is_heading_known(variance) else ""
-        return f"{source} is on the upper structure, whose swing angle is unknown{swing}"
+        accuracy = f" (± {math.degrees(math.sqrt(variance)):.0f}°)" if is_heading_known(variance) else ""
+        return f"{source} is on the upper structure, whose swing angle is unknown{accuracy}"
     if int(a["seen"]) == 0:
-        return f"nothing of {source} yet"
-    if int(a["sample"]["levels"]) == 0:
+        return f"no sample of {source} yet"
+    if int(a["sample"]["use_force"]) == 0:
         return f"{source} has no orientation that can be used"
     if not np.isfinite(a["sample"]["force"]).all():
         return f"{source} has no accelerations"
@@ -58,8 +60,8 @@ def _unknown_reason(a: Attitude, source: str) -> str:
         return f"accelerations of {source} are rejected: {size:.2f} m/s² on average, gravity is {GRAVITY:.2f}"
     if force[2] < LEAST_UPWARD_FORCE:
         x, y, z = (f"{value:.1f}" for value in force.tolist())
-        where = f"{source} measures gravity along ({x}, {y}, {z}) m/s²"
-        return f"accelerations are rejected: {where}, and not along z; set its mounting"
+        measured = f"{source} measures gravity along ({x}, {y}, {z}) m/s²"
+        return f"accelerations are rejected: {measured}, and not along z; set its mounting"
     return f"{source} is silent"
 
 

@@ -35,21 +35,21 @@ class _CandidateTrack:
     likely_ns: int | None = None  # when the odometry's gate last accepted it as a new object
 
     def add_position(
-        self, place: FloatArray, stamp_ns: int, odometry: Odometry | None, p: BoxLocalizerParameters
+        self, position: FloatArray, stamp_ns: int, odometry: Odometry | None, p: BoxLocalizerParameters
     ) -> None:
         """Add a position; restart from it if the candidate does not move like the odometry."""
-        self.last, self.seen_ns = place, stamp_ns
+        self.last, self.seen_ns = position, stamp_ns
         if odometry is None:
             return
-        moved, driven = _distance(place, self.first), self.odometry_distance(odometry)
+        moved, driven = _distance(position, self.first), self.odometry_distance(odometry)
         if driven is None or abs(moved - driven) > p.confirmation_difference + p.proof_share * driven:
-            self.first, self.odometry = place, odometry.place
+            self.first, self.odometry = position, odometry.position
 
     def odometry_distance(self, odometry: Odometry | None) -> float | None:
         """Return the distance of the odometry from its first position, m; None without odometry."""
         if odometry is None or self.odometry is None:
             return None
-        return _distance(odometry.place, self.odometry)
+        return _distance(odometry.position, self.odometry)
 
     def distance_moved(self, odometry: Odometry | None) -> float:
         """Return the distance from the first position, at most that of an odometry, m."""
@@ -67,7 +67,7 @@ class Association:
     def __init__(self, p: BoxLocalizerParameters) -> None:
         self._parameters = p
         self._tracks: list[_CandidateTrack] = []
-        self._chi2 = float(chdtri(2, 1.0 - p.fit_probability))
+        self._chi2_limit = float(chdtri(2, 1.0 - p.fit_probability))
 
     @property
     def ambiguous_positions(self) -> list[FloatArray]:
@@ -104,10 +104,10 @@ class Association:
         if odometry is None:
             return nearest if is_start else None
         S = self._covariance(odometry, stamp_ns)
-        if self._chi2 * np.linalg.eigvalsh(S)[1] > self._parameters.clearance**2:
+        if self._chi2_limit * np.linalg.eigvalsh(S)[1] > self._parameters.clearance**2:
             return None
         accepted = [c for c in candidates if self._is_accepted(c, odometry, stamp_ns)]
-        return min(accepted, key=lambda c: _distance(c.place, odometry.place), default=None)
+        return min(accepted, key=lambda c: _distance(c.position, odometry.position), default=None)
 
     def _confirm_by_motion(
         self,
@@ -119,15 +119,15 @@ class Association:
         """Return the only likely candidate, or the only one that has moved ``confirmation_distance``."""
         p = self._parameters
         tracks = [self._extend_track(candidate, odometry, stamp_ns) for candidate in candidates]
-        kept_ns = round(p.candidate_timeout * 1e9)
-        self._tracks = [f for f in self._tracks if stamp_ns - f.seen_ns <= kept_ns]
+        timeout_ns = round(p.candidate_timeout * 1e9)
+        self._tracks = [t for t in self._tracks if stamp_ns - t.seen_ns <= timeout_ns]
         likely = []
         for candidate, track in zip(candidates, tracks, strict=True):
             is_new = candidate.is_new or math.isinf(expected.elapsed)
             if is_new and self._is_accepted(candidate, odometry, stamp_ns):
                 track.likely_ns = stamp_ns
                 likely.append(candidate)
-        if len(likely) == 1 and sum(f.is_likely(stamp_ns, p) for f in self._tracks) == 1:
+        if len(likely) == 1 and sum(t.is_likely(stamp_ns, p) for t in self._tracks) == 1:
             return likely[0]
         driving = [
             candidate
@@ -141,14 +141,14 @@ class Association:
     ) -> _CandidateTrack:
         """Return the track of a candidate, with its position added."""
         p = self._parameters
-        nearest = min(self._tracks, key=lambda f: _distance(f.last, candidate.place), default=None)
+        nearest = min(self._tracks, key=lambda t: _distance(t.last, candidate.position), default=None)
         if nearest is not None:
             reach = p.gate_distance + p.top_speed * (stamp_ns - nearest.seen_ns) * _NS
-            if _distance(nearest.last, candidate.place) <= reach:
-                nearest.add_position(candidate.place, stamp_ns, odometry, p)
+            if _distance(nearest.last, candidate.position) <= reach:
+                nearest.add_position(candidate.position, stamp_ns, odometry, p)
                 return nearest
-        place = candidate.place
-        track = _CandidateTrack(place, place, stamp_ns, None if odometry is None else odometry.place)
+        position = candidate.position
+        track = _CandidateTrack(position, position, stamp_ns, None if odometry is None else odometry.position)
         self._tracks.append(track)
         return track
 
@@ -156,14 +156,16 @@ class Association:
         """Whether a candidate is inside the odometry's gate; true without odometry."""
         if odometry is None:
             return True
-        off = candidate.place - odometry.place
-        return bool(off @ np.linalg.solve(self._covariance(odometry, stamp_ns), off) <= self._chi2)
+        innovation = candidate.position - odometry.position
+        return bool(
+            innovation @ np.linalg.solve(self._covariance(odometry, stamp_ns), innovation) <= self._chi2_limit
+        )
 
     def _covariance(self, odometry: Odometry, stamp_ns: int) -> FloatArray:
         """Return the covariance (2, 2) of fix minus odometry, m², with gate distance and motion between."""
         p = self._parameters
-        apart = p.top_speed * abs(stamp_ns - odometry.stamp_ns) * _NS
-        S: FloatArray = odometry.covariance + (p.gate_distance + apart) ** 2 / self._chi2 * np.eye(2)
+        travel = p.top_speed * abs(stamp_ns - odometry.stamp_ns) * _NS
+        S: FloatArray = odometry.covariance + (p.gate_distance + travel) ** 2 / self._chi2_limit * np.eye(2)
         return S
 
 

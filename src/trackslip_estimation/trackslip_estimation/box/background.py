@@ -35,12 +35,12 @@ class Background:
     def update(self, ranges: FloatArray, angles: FloatArray, box: Beams, clearance: float) -> "Background":
         """Return the background after a scan (N,), m and rad, with known box; ``clearance``: about it, m."""
         last, free = (
-            known.copy() if self._has_same_beams(angles) else np.full(ranges.shape, np.nan)
-            for known in (self.ranges, self.free)
+            before.copy() if self._has_same_beams(angles) else np.full(ranges.shape, np.nan)
+            for before in (self.ranges, self.free)
         )
-        known = ~np.isnan(ranges)
-        known[max(0, box.indices[0] - BEAMS_BESIDE) : box.indices[-1] + BEAMS_BESIDE + 1] = False
-        last[known] = free[known] = ranges[known]
+        beside = ~np.isnan(ranges)
+        beside[max(0, box.indices[0] - BEAMS_BESIDE) : box.indices[-1] + BEAMS_BESIDE + 1] = False
+        last[beside] = free[beside] = ranges[beside]
         on_box = box.indices[np.isnan(last[box.indices])]
         free[on_box] = ranges[on_box] + clearance
         return Background(float(angles[0]), float(angles[1] - angles[0]), last, free)
@@ -50,16 +50,16 @@ class Background:
         if not self._has_same_beams(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
-            same: BoolArray = np.abs(self.ranges - ranges) < margin
-        return same
+            matches: BoolArray = np.abs(self.ranges - ranges) < margin
+        return matches
 
     def new_object_beams(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
         """Return which beams (N,) end more than ``margin``, m, before their free distance, at new objects."""
         if not self._has_same_beams(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
-            free: BoolArray = self.free - ranges > margin
-        return free
+            is_nearer: BoolArray = self.free - ranges > margin
+        return is_nearer
 
     def _has_same_beams(self, angles: FloatArray) -> bool:
         """Whether the beams (N,) are those of the background."""

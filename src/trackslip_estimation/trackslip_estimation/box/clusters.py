@@ -66,12 +66,12 @@ def segment_scan(
     valid = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     if valid.size == 0:
         return []
-    reached, at = ranges[valid], angles[valid]
-    x, y = reached * np.cos(at), reached * np.sin(at)
+    valid_ranges, valid_angles = ranges[valid], angles[valid]
+    x, y = valid_ranges * np.cos(valid_angles), valid_ranges * np.sin(valid_angles)
     steps = np.sqrt((x[1:] - x[:-1]) ** 2 + (y[1:] - y[:-1]) ** 2)
-    nearer = np.minimum(reached[:-1], reached[1:])
+    nearer = np.minimum(valid_ranges[:-1], valid_ranges[1:])
     noise = 3.0 * math.sqrt(2.0) * range_stddev
-    allowed = nearer * (at[1:] - at[:-1]) / math.sin(grazing_angle) + noise
+    allowed = nearer * (valid_angles[1:] - valid_angles[:-1]) / math.sin(grazing_angle) + noise
     empty_before = np.cumsum(ranges == math.inf)[valid]
     return split_at_gaps(valid, (steps > allowed) | (empty_before[1:] > empty_before[:-1]))
 

@@ -30,8 +30,8 @@ from trackslip_estimation.box.measurement_model import (
     costs,
     fit_input,
     normal_equations,
+    predict_scan,
     range_costs,
-    ray_cast,
     total_cost,
 )
 
@@ -44,7 +44,7 @@ TEMPERATURES = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
 WIDENING = 1.3  # factor of the spread found in the previous round
 LEAST_SPREAD = 0.2  # share of the intervals of the ends: least spread of the first round
 FEWEST_SAMPLES = 4.0  # effective number of samples below which a round has no effect
-LEAST_LOG, TINY = -1e300, 1e-300  # for weights that are all zero
+LEAST_LOG, TINY = -1e300, 1e-300  # least logarithm and sum of the weights, in case all are zero
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,14 @@ def starting_poses(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatA
     intervals = np.array((beams.right, beams.left))
     ends, weights = intervals.sum(axis=1) / 2.0, (intervals[:, 1] - intervals[:, 0]) ** -2.0
     share = weights / weights.sum()
-    middle = float(share @ ends)
+    mean_bearing = float(share @ ends)
     distance = np.full(headings.shape, float(beams.ranges.mean()) + 0.25 * (box.length + box.width))
-    bearing = np.full(headings.shape, middle)
+    bearing = np.full(headings.shape, mean_bearing)
     for _ in range(2):
         poses = _polar_poses(distance, bearing, headings)
         ranges, outline = cast_rays(poses, box.half, beams.directions)
         distance = distance + (beams.ranges - ranges).mean(axis=1)
-        bearing = bearing + middle - outline @ share
+        bearing = bearing + mean_bearing - outline @ share
     return _polar_poses(distance, bearing, headings)
 
 
@@ -117,9 +117,9 @@ def fit_pose(
     start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float, steps: int = 20
 ) -> Optimum:
     """Return the optimum after at most ``steps`` of damped Gauss–Newton from a pose (3,) near the box."""
-    least = _descend(start, fit_input(box, beams, range_stddev), steps)
-    information = least.information + LEAST_INFORMATION * np.eye(3)
-    return Optimum(least.pose, information, least.cost, len(beams.ranges) + 2 - 3)
+    minimum = _descend(start, fit_input(box, beams, range_stddev), steps)
+    information = minimum.information + LEAST_INFORMATION * np.eye(3)
+    return Optimum(minimum.pose, information, minimum.cost, len(beams.ranges) + 2 - 3)
 
 
 @compiled
@@ -186,7 +186,7 @@ def count_beams_through(
     ``margin``: range beyond the box's side that noise does not explain, m. One beam spacing within the
     outline is left out.
     """
-    expected, outline = ray_cast(pose[np.newaxis], box, angles)
+    expected, outline = predict_scan(pose[np.newaxis], box, angles)
     spacing = angles[1] - angles[0]
     inside = (angles > outline[0, 0] + spacing) & (angles < outline[0, 1] - spacing)
     return int(np.count_nonzero(inside & (ranges > expected[0] + 0.5 * box.width + margin)))
@@ -205,7 +205,7 @@ def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stdde
 def compile_fit() -> None:
     """Compile the fit by fitting a box in front of the laser; fast if the compiled code is cached."""
     box, stddev, angles = Rectangle(1.0, 1.0), 0.01, np.linspace(-0.1, 0.1, 5)
-    (ranges,), _ = ray_cast(np.array([[5.0, 0.0, 0.0]]), box, angles)
+    (ranges,), _ = predict_scan(np.array([[5.0, 0.0, 0.0]]), box, angles)
     beams = object_beams(np.arange(5), ranges, angles, box.diagonal, 3.0 * stddev)
     start = likely_starting_poses(np.zeros(1), box, beams, stddev)[0]
     posterior(fit_pose(start, box, beams, stddev), 0.0, box, beams, stddev)

@@ -99,12 +99,12 @@ class BoxLocalizer:
         localizer's own track does not.
         """
         scan = scan.to_counter_clockwise()
-        rejected = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
-        found = rejected or self._find_box(scan, odometry)
-        if isinstance(found, Reason):
-            self.tally.add("scan", found)
-            return Rejection(found)
-        return self._accept_fix(scan, found.expected, found.candidate)
+        reason = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
+        result = reason or self._find_box(scan, odometry)
+        if isinstance(result, Reason):
+            self.tally.add("scan", result)
+            return Rejection(result)
+        return self._accept_fix(scan, result.expected, result.candidate)
 
     def _new_clock(self) -> ClockMonitor:
         return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
@@ -134,12 +134,12 @@ class BoxLocalizer:
     def _restart(self, stamp_ns: int) -> None:
         """Restart after stamps have gone back: another run, or the same with the clock set."""
         assert self._first_ns is not None
-        before_ns = round(self._parameters.max_gap * 1e9)  # longest time until the confirmation
-        is_another_run = stamp_ns < self._first_ns + before_ns
-        last = [track.restamp(stamp_ns, self._parameters) for track in self._tracks if track is not None]
+        confirmation_ns = round(self._parameters.max_gap * 1e9)  # longest time until the confirmation
+        is_another_run = stamp_ns < self._first_ns + confirmation_ns
+        tracks = [track.restamp(stamp_ns, self._parameters) for track in self._tracks if track is not None]
         if is_another_run:
             self.reset()
-        self._tracks = [None, *last] if is_another_run else [*last, None]
+        self._tracks = [None, *tracks] if is_another_run else [*tracks, None]
         self._clock = self._new_clock()
         self._clock.check_increasing_sample(stamp_ns)
         self.restarts += 1
@@ -159,38 +159,37 @@ class BoxLocalizer:
                 expected = initial_expectation(self._parameters)
             else:
                 expected = track.expectation(scan.stamp_ns, self._parameters)
-            found = self._search.find_candidates(scan.ranges, angles, expected)
-            if isinstance(found, Reason):
-                reasons.append(found)
+            candidates = self._search.find_candidates(scan.ranges, angles, expected)
+            if isinstance(candidates, Reason):
+                reasons.append(candidates)
                 continue
-            chosen = self._association.choose(found, expected, odometry, scan.stamp_ns)
+            chosen = self._association.choose(candidates, expected, odometry, scan.stamp_ns)
             if chosen is not None:
                 return FoundBox(expected, chosen)
             reasons.append(Reason.UNCERTAIN)
         return max(reasons, key=list(Reason).index)
 
-    def _accept_fix(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
+    def _accept_fix(self, scan: Scan, expected: Expectation, candidate: Candidate) -> BoxFix:
         """Update the track with a fix; return the fix of base_link in odom."""
-        step = found.beams.spacing * float(found.beams.ranges.mean())
-        after = expected.headings.update(
-            self._heading_modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
+        step = candidate.beams.spacing * float(candidate.beams.ranges.mean())
+        update = expected.headings.update(
+            self._heading_modes(expected, candidate), float(expected.pose[2]), expected.yaw_variance, step
         )
-        if (
-            after.probabilities[0] > 1.0 - NEGLIGIBLE_PROBABILITY
-        ):  # the box is certain, and the rest is background
+        # the box is certain, and the rest is background
+        if update.probabilities[0] > 1.0 - NEGLIGIBLE_PROBABILITY:
             self._search.background = self._search.background.update(
-                scan.ranges, scan.angles(), found.beams, self._parameters.clearance
+                scan.ranges, scan.angles(), candidate.beams, self._parameters.clearance
             )
-        stamp_ns = scan.beam_stamp_ns(float(found.beams.indices.mean()))
-        self._tracks = [self._update_track(stamp_ns, after.modes[0], after.headings)]
-        pose, covariance = mix_modes(after.modes, after.probabilities, expected.elapsed)
+        stamp_ns = scan.beam_stamp_ns(float(candidate.beams.indices.mean()))
+        self._tracks = [self._update_track(stamp_ns, update.modes[0], update.headings)]
+        pose, covariance = mix_modes(update.modes, update.probabilities, expected.elapsed)
         covariance[2, 2] = max(
-            covariance[2, 2], expected.innovation_variance(after.modes[0], self._parameters)
+            covariance[2, 2], expected.innovation_variance(update.modes[0], self._parameters)
         )
         yaw = float(np.arctan2(np.sin(pose[2]), np.cos(pose[2])))
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)
 
-    def _heading_modes(self, expected: Expectation, found: Candidate) -> list[Mode]:
+    def _heading_modes(self, expected: Expectation, candidate: Candidate) -> list[Mode]:
         """Return the hypotheses: about the expected heading, and one, two and three quarter turns from it.
 
         If the box is fitted one way only, the others are that fit rotated: they are refuted hypotheses.
@@ -198,8 +197,8 @@ class BoxLocalizer:
         box, range_stddev = self._search.box, self._search.range_stddev
         heading = float(self._frames.laser_from_odom(expected.pose)[2])
         fits = [
-            posterior(optimum, heading + k * QUARTER_TURN, box, found.beams, range_stddev)
-            for k, optimum in enumerate(found.fits)
+            posterior(optimum, heading + k * QUARTER_TURN, box, candidate.beams, range_stddev)
+            for k, optimum in enumerate(candidate.fits)
         ]
         modes = []
         for k in range(4):

@@ -95,7 +95,7 @@ def fit_input(box: Rectangle, beams: Beams, range_stddev: float) -> FitInput:
     )
 
 
-def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> PredictedScan:
+def predict_scan(poses: FloatArray, box: Rectangle, angles: FloatArray) -> PredictedScan:
     """Return the predicted measurements of rectangles at ``poses`` (M, 3), with beams at ``angles`` (N,).
 
     A beam that misses gets the range of the nearest end of the outline: ranges are continuous in the pose.
@@ -171,7 +171,7 @@ def _huber(residual: float) -> float:
 
 @compiled
 def cast_rays(poses: FloatArray, half: FloatArray, directions: FloatArray) -> PredictedScan:
-    """As ``ray_cast``; ``half`` and ``directions`` as in ``FitInput``."""
+    """As ``predict_scan``; ``half`` and ``directions`` as in ``FitInput``."""
     ranges, outline = np.empty((len(poses), directions.shape[1])), np.empty((len(poses), 2))
     for m in range(len(poses)):
         x, y = poses[m, 0], poses[m, 1]

@@ -12,7 +12,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
 
-SPACING_NS = 50_000_000  # least time between two that are kept
+SPACING_NS = 50_000_000  # least time between two odometries in the buffer
 BUFFER_SIZE = 60  # 3 s, for scans delayed by the serial line
 LONGEST_OFFSET_NS = 1_000_000_000  # longest time between a scan and its odometry
 
@@ -27,7 +27,7 @@ class Odometry(NamedTuple):
     """Position (2,) of base_link in map, m; its covariance (2, 2), m²."""
 
     stamp_ns: int
-    place: FloatArray
+    position: FloatArray
     covariance: FloatArray
 
 
@@ -52,7 +52,7 @@ class OdometryBuffer:
 
     def find_nearest(self, stamp_ns: int) -> Odometry | None:
         """Return the odometry nearest in time; None if none is within ``LONGEST_OFFSET_NS``."""
-        nearest = min(self._latest, key=lambda kept: abs(kept.stamp_ns - stamp_ns), default=None)
+        nearest = min(self._latest, key=lambda odometry: abs(odometry.stamp_ns - stamp_ns), default=None)
         if nearest is None or abs(nearest.stamp_ns - stamp_ns) > LONGEST_OFFSET_NS:
             return None
         return nearest
@@ -61,5 +61,5 @@ class OdometryBuffer:
 def _is_usable(odometry: Odometry) -> bool:
     """Whether the position is finite and the covariance positive semidefinite."""
     (xx, xy), (yx, yy) = odometry.covariance
-    is_finite = bool(np.isfinite(odometry.place).all()) and math.isfinite(xx + xy + yx + yy)
+    is_finite = bool(np.isfinite(odometry.position).all()) and math.isfinite(xx + xy + yx + yy)
     return is_finite and xx >= 0.0 and yy >= 0.0 and xy * yx <= xx * yy * (1.0 + 1e-9)

@@ -54,7 +54,9 @@ class BoxLocalizerParameters(Parameters):
     confirmation_difference: float = parameter(
         "largest difference between the distances of a candidate and of the odometry", unit="m", gt=0.0
     )
-    proof_share: float = parameter("addition to proof_difference, as share of the distance", ge=0.0, lt=1.0)
+    proof_share: float = parameter(
+        "addition to confirmation_difference, as share of the distance", ge=0.0, lt=1.0
+    )
     ambiguity_time: float = parameter(
         "time after its last acceptance for which a candidate makes another one ambiguous", unit="s", gt=0.0
     )

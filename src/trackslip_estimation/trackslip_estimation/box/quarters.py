@@ -8,7 +8,7 @@
     E_k   evidence: the likelihood of a scan's beams, integrated over the poses about h_k
     Λ     log odds of a quarter turn, from the E_k of all scans
 
-After half a turn the box looks the same, and after a quarter nearly so: the sides differ by little, and few
+After half a turn the box looks the same, and after a quarter nearly so: the sides differ by little, and a few
 beams do not distinguish them. The first weights are therefore those of the predicted heading,
 
     w_k ∝ Σ_j w_j N(h_k; ψ̂ + j π/2, s²),  wrapped.
@@ -29,9 +29,9 @@ CERTAIN_WEIGHTS: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
 NEGLIGIBLE_PROBABILITY = 1e-4  # probability of the other headings below which one is certain
 REFUTED_PROBABILITY = 1e-6  # probability below which the other sides are not fitted
 LARGEST_STEP = 1.0  # of Λ in one scan
-LARGEST_HEADING_STDDEV = (
-    0.5 * np.pi / 4.0
-)  # rad, standard deviation of the prediction from which the sides are unknown
+# rad, standard deviation of the prediction from which the sides are unknown
+LARGEST_HEADING_STDDEV = 0.5 * np.pi / 4.0
+
 ERROR_TIME = 10.0  # s, correlation time of the error of a hypothesis
 LEAST_INTERVAL = 0.01  # s between fixes
 _TURNS = QUARTER_TURN * np.arange(4.0)
@@ -80,9 +80,9 @@ def heading_prior(turned: FloatArray, variance: FloatArray, weights: FloatArray)
     turned, variance: (M,), the headings minus ψ̂, and s², rad and rad²; weights: (4,) of ψ̂ and the headings
     one, two and three quarter turns from it.
     """
-    away = turned - _TURNS[:, np.newaxis] + _WRAPS
+    offsets = turned - _TURNS[:, np.newaxis] + _WRAPS
     log_weights = np.log(np.maximum(weights, 1e-300))[:, np.newaxis]
-    joint = _normalise(log_weights - 0.5 * (away**2 / variance + np.log(variance)))
+    joint = _normalise(log_weights - 0.5 * (offsets**2 / variance + np.log(variance)))
     return np.asarray(joint.sum(axis=(0, 1)))
 
 
@@ -151,15 +151,15 @@ def mix_modes(modes: list[Mode], weights: FloatArray, elapsed: float) -> tuple[F
     positions counts once in ``ERROR_TIME``. Ambiguous headings are not averaged: two that are a quarter turn
     apart have no mean. The heading variance puts each of them within two standard deviations.
     """
-    away = np.array([mode.pose - modes[0].pose for mode in modes])
-    away[:, 2] -= 2.0 * np.pi * np.round(away[:, 2] / (2.0 * np.pi))
-    mean = weights @ away
+    offsets = np.array([mode.pose - modes[0].pose for mode in modes])
+    offsets[:, 2] -= 2.0 * np.pi * np.round(offsets[:, 2] / (2.0 * np.pi))
+    mean = weights @ offsets
     mean[2] = 0.0
-    spread = away - mean
+    spread = offsets - mean
     spread[:, :2] *= np.sqrt(max(ERROR_TIME / max(elapsed, LEAST_INTERVAL), 1.0))
     covariance = sum(w * m.covariance for w, m in zip(weights, modes, strict=True))
     covariance = covariance + (weights[:, np.newaxis] * spread).T @ spread
-    farthest = np.abs(away[weights > NEGLIGIBLE_PROBABILITY, 2]).max(initial=0.0)
+    farthest = np.abs(offsets[weights > NEGLIGIBLE_PROBABILITY, 2]).max(initial=0.0)
     if farthest > 0.5 * QUARTER_TURN:
         covariance[2, 2] = max(covariance[2, 2], (0.5 * farthest) ** 2)
     return modes[0].pose + mean, covariance

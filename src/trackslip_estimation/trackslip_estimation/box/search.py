@@ -55,13 +55,13 @@ class Candidate:
     """An object that can be the box.
 
     fits: within an eighth of a turn of the expected heading and, if ambiguous, of a quarter turn from it;
-    place: (2,) of base_link in odom by the better fit, m; distance: from the expected position, m;
+    position: (2,) of base_link in odom by the better fit, m; distance: from the expected position, m;
     is_new: whether the object is new: the laser measured behind it before, or the box.
     """
 
     beams: Beams
     fits: list[Optimum]
-    place: FloatArray
+    position: FloatArray
     distance: float
     is_new: bool
 
@@ -84,28 +84,30 @@ class BoxSearch:
 
         The background is cut off: a post beside the box would lengthen or rotate it.
         """
-        reach = self.box.diagonal + 3.0 * self.range_stddev
-        known = self.background.matching_beams(ranges, angles, self._range_margin)
+        extent = self.box.diagonal + 3.0 * self.range_stddev
+        is_background = self.background.matching_beams(ranges, angles, self._range_margin)
         parts = [
             part
             for cluster in segment_scan(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
-            for part in split_at_gaps(cluster, known[cluster][1:] != known[cluster][:-1])
+            for part in split_at_gaps(cluster, is_background[cluster][1:] != is_background[cluster][:-1])
         ]
         near = self._beams_near(ranges, angles, expected)
-        found: list[Candidate] = []
+        candidates: list[Candidate] = []
         reasons = [Reason.NOTHING_NEAR]
-        for indices in rejoin_parts(parts, ranges, angles, reach) + parts:
-            if not near[indices].any() or any(np.isin(indices, other.beams.indices).any() for other in found):
+        for indices in rejoin_parts(parts, ranges, angles, extent) + parts:
+            if not near[indices].any() or any(
+                np.isin(indices, other.beams.indices).any() for other in candidates
+            ):
                 continue
             outcome: Candidate | Reason = Reason.BACKGROUND
-            if 2 * np.count_nonzero(known[indices]) <= len(indices):
+            if 2 * np.count_nonzero(is_background[indices]) <= len(indices):
                 outcome = self._evaluate_object(indices, expected, ranges, angles)
             if isinstance(outcome, Candidate):
-                found.append(outcome)
+                candidates.append(outcome)
             else:
                 self._tally.add("object", outcome)
                 reasons.append(outcome)
-        return found or max(reasons, key=list(Reason).index)
+        return candidates or max(reasons, key=list(Reason).index)
 
     @property
     def _range_margin(self) -> float:
@@ -144,8 +146,8 @@ class BoxSearch:
         """Return which beams (N,) end where the box may be."""
         x, y = self._frames.laser_from_odom(expected.pose)[:2]
         with np.errstate(invalid="ignore"):  # no return straight ahead: ∞ sin 0
-            away = np.hypot(ranges * np.cos(angles) - x, ranges * np.sin(angles) - y)
-        near: BoolArray = away <= expected.reach + 0.5 * self.box.diagonal
+            distance = np.hypot(ranges * np.cos(angles) - x, ranges * np.sin(angles) - y)
+        near: BoolArray = distance <= expected.reach + 0.5 * self.box.diagonal
         return near
 
     def _fit_headings(self, beams: Beams, expected: Expectation) -> list[Optimum]:
@@ -160,16 +162,16 @@ class BoxSearch:
     def fit_near_heading(self, middle: float, beams: Beams) -> Optimum:
         """Return the first good fit within an eighth of a turn of ``middle``, else the best of all starts."""
         starts = likely_starting_poses(middle + HEADING_OFFSETS, self.box, beams, self.range_stddev)
-        stuck: list[Optimum] = []
+        poor_fits: list[Optimum] = []
         for start in starts:
             optimum = fit_pose(start, self.box, beams, self.range_stddev)
             if abs(optimum.pose[2] - middle) <= 0.5 * QUARTER_TURN:
                 if self._is_explained(optimum, self._parameters.good_fit):
                     return optimum
-                stuck.append(optimum)
-        if not stuck:  # all have left this eighth of a turn
+                poor_fits.append(optimum)
+        if not poor_fits:  # all have left this eighth of a turn
             return fit_pose(starts[0], self.box, beams, self.range_stddev, steps=0)
-        return min(stuck, key=lambda optimum: optimum.chi2)
+        return min(poor_fits, key=lambda optimum: optimum.chi2)
 
     @staticmethod
     def _is_explained(optimum: Optimum, probability: float) -> bool:

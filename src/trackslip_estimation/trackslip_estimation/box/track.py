@@ -79,22 +79,22 @@ class Track:
     def predict(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
         """Return the track propagated to a later stamp; an earlier stamp counts as its own."""
         elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
-        tau, left = p.coast_time, np.exp(-elapsed / p.coast_time)
-        transition = np.array(((1.0, tau * (1.0 - left)), (0.0, left)))
+        tau, decay = p.coast_time, np.exp(-elapsed / p.coast_time)
+        transition = np.array(((1.0, tau * (1.0 - decay)), (0.0, decay)))
         noise = np.empty((2, 2))
-        noise[0, 0] = 2.0 * tau * elapsed - tau**2 * (3.0 - 4.0 * left + left**2)
-        noise[0, 1] = noise[1, 0] = tau * (1.0 - left) ** 2
-        noise[1, 1] = 1.0 - left**2
+        noise[0, 0] = 2.0 * tau * elapsed - tau**2 * (3.0 - 4.0 * decay + decay**2)
+        noise[0, 1] = noise[1, 0] = tau * (1.0 - decay) ** 2
+        noise[1, 1] = 1.0 - decay**2
         covariance = transition @ self.covariance @ transition.T + _rate_variance(p)[:, None, None] * noise
         return Track(max(stamp_ns, self.stamp_ns), self.mean @ transition.T, covariance, self.headings)
 
     def expectation(self, stamp_ns: int, p: BoxLocalizerParameters) -> Expectation:
         """Return the prediction of the next fix, gated by the possible motion since the last."""
         elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
-        there = self.predict(stamp_ns, p)
-        variance = float(there.covariance[2, 0, 0])
+        predicted = self.predict(stamp_ns, p)
+        variance = float(predicted.covariance[2, 0, 0])
         return Expectation(
-            pose=there.mean[:, 0],
+            pose=predicted.mean[:, 0],
             reach=p.gate_distance + elapsed * p.top_speed,
             yaw_reach=p.gate_yaw + p.yaw_spreads * np.sqrt(variance),
             yaw_variance=variance,
@@ -104,16 +104,16 @@ class Track:
 
     def update(self, stamp_ns: int, fix: Mode, headings: Headings, p: BoxLocalizerParameters) -> "Track":
         """Return the track updated with a fix of the first hypothesis; ``headings``: those after the fix."""
-        there = self.predict(stamp_ns, p)
-        innovation_variance = there.covariance[:, 0, 0] + fix.covariance.diagonal()
-        innovation = fix.pose - there.mean[:, 0]
+        predicted = self.predict(stamp_ns, p)
+        innovation_variance = predicted.covariance[:, 0, 0] + fix.covariance.diagonal()
+        innovation = fix.pose - predicted.mean[:, 0]
         turn = QUARTER_TURN * round(float(innovation[2]) / QUARTER_TURN)  # to another hypothesis
         innovation[2] -= turn
-        gain = there.covariance[:, :, 0] / innovation_variance[:, None]
-        mean = there.mean + gain * innovation[:, None]
+        gain = predicted.covariance[:, :, 0] / innovation_variance[:, None]
+        mean = predicted.mean + gain * innovation[:, None]
         mean[2, 0] += turn
-        covariance = there.covariance - gain[:, :, None] * there.covariance[:, None, 0, :]
-        return Track(there.stamp_ns, mean, 0.5 * (covariance + covariance.swapaxes(1, 2)), headings)
+        covariance = predicted.covariance - gain[:, :, None] * predicted.covariance[:, None, 0, :]
+        return Track(predicted.stamp_ns, mean, 0.5 * (covariance + covariance.swapaxes(1, 2)), headings)
 
     def restamp(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
         """Return the track at its pose, with unknown velocity: after the clock is set, Δt is unknown."""

@@ -34,7 +34,7 @@ _PERIOD_NS = 1_000_000_000  # scan time between two writings
 def track_text(state: LocalizerState) -> str:
     """Return the content of the file."""
     track = state.track
-    e = track.headings.evidence
+    evidence = track.headings.evidence
     return json.dumps(
         {
             "version": _VERSION,
@@ -43,7 +43,7 @@ def track_text(state: LocalizerState) -> str:
             "mean": track.mean.tolist(),
             "covariance": track.covariance.tolist(),
             "weights": track.headings.weights.tolist(),
-            "evidence": [e.settled, e.mean, e.count, e.x, e.y],
+            "evidence": [evidence.settled, evidence.mean, evidence.count, evidence.x, evidence.y],
             "laser": state.laser,
             "beams": [state.background.angle_min, state.background.spacing],
             "background": _to_millimetres(state.background.ranges),
@@ -76,18 +76,18 @@ def parse_track(text: str) -> LocalizerState:
         raise
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
         raise InputError("it is not the track of a box") from error
-    of_laser = np.array([laser_x, laser_y, laser_yaw, angle_min, spacing])
-    numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]), of_laser)
-    in_range = all(0 <= ns < 2**63 for ns in (stamp_ns, scan_ns))
-    if not in_range or not all(np.isfinite(array).all() for array in numbers):
+    geometry = np.array([laser_x, laser_y, laser_yaw, angle_min, spacing])
+    numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]), geometry)
+    are_stamps_valid = all(0 <= ns < 2**63 for ns in (stamp_ns, scan_ns))
+    if not are_stamps_valid or not all(np.isfinite(array).all() for array in numbers):
         raise InputError("it has values out of range")
-    is_covariance = np.array_equal(covariance, covariance.swapaxes(1, 2))
-    if not is_covariance or np.linalg.eigvalsh(covariance).min() < 0.0:
+    is_symmetric = np.array_equal(covariance, covariance.swapaxes(1, 2))
+    if not is_symmetric or np.linalg.eigvalsh(covariance).min() < 0.0:
         raise InputError("its covariance is invalid")
     if weights.min() < 0.0 or not math.isclose(weights.sum(), 1.0, rel_tol=1e-6) or count < 0:
         raise InputError("its probabilities are invalid")
-    is_geometry = max(abs(angle_min), abs(spacing)) <= FULL_TURN
-    if not is_geometry or len(ranges) != len(free) or len(ranges) > MOST_BEAMS:
+    are_angles_valid = max(abs(angle_min), abs(spacing)) <= FULL_TURN
+    if not are_angles_valid or len(ranges) != len(free) or len(ranges) > MOST_BEAMS:
         raise InputError("its background is invalid")
     track = Track(stamp_ns, mean, covariance, Headings(weights, evidence))
     return LocalizerState(track, scan_ns, background, (laser_x, laser_y, laser_yaw))

@@ -22,13 +22,15 @@ def fix(message: Any) -> Fix:
     return Fix(*read(NavSatFields, message))
 
 
-def pose(make: MessageFactory, place: AntennaPosition, topic: str, frame: str) -> Any:
+def pose(make: MessageFactory, antenna: AntennaPosition, topic: str, frame: str) -> Any:
     """Return a geometry_msgs/PoseWithCovarianceStamped of an antenna, with unobserved heading."""
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
-    covariance[:2, :2] = place.covariance
-    at = np.array((place.east, place.north, 0.0))
-    altitude = (0.0, UNOBSERVED) if math.isnan(place.up) else (place.up, place.up_variance)
-    return pose_with_covariance(make, PoseFix(topic, place.stamp_ns, at, covariance, *altitude), frame)
+    covariance[:2, :2] = antenna.covariance
+    position = np.array((antenna.east, antenna.north, 0.0))
+    altitude = (0.0, UNOBSERVED) if math.isnan(antenna.up) else (antenna.up, antenna.up_variance)
+    return pose_with_covariance(
+        make, PoseFix(topic, antenna.stamp_ns, position, covariance, *altitude), frame
+    )
 
 
 def datum(make: MessageFactory, origin: Datum, stamp_ns: int, frame: str) -> Any:

@@ -81,17 +81,17 @@ class GnssLocalizer:
     def __init__(self, parameters: GnssLocalizerParameters) -> None:
         self.tally = Tally()
         self._p = p = parameters
-        given = Datum(p.datum_latitude, p.datum_longitude, p.datum_altitude)
-        self.datum: Datum | None = given if p.datum_is_given else None
+        datum = Datum(p.datum_latitude, p.datum_longitude, p.datum_altitude)
+        self.datum: Datum | None = datum if p.has_datum else None
         self._candidate: Datum | None = None
         self._agreeing = 0
 
     def locate(self, fix: Fix) -> AntennaPosition | Reason:
         """Return the position of the antenna, or why the fix is rejected; rejections are counted."""
-        found = self._rejection_reason(fix) or self._project(fix)
-        if isinstance(found, Reason):
-            self.tally.add(FIX, found)
-        return found
+        result = self._rejection_reason(fix) or self._project(fix)
+        if isinstance(result, Reason):
+            self.tally.add(FIX, result)
+        return result
 
     def _rejection_reason(self, fix: Fix) -> Reason | None:
         """Return why a fix is rejected independently of the datum, or None."""
@@ -105,7 +105,7 @@ class GnssLocalizer:
         if position == (0.0, 0.0):
             return Reason.ZERO
         covariance = self._covariance(fix)
-        if not is_covariance(covariance):
+        if not _is_positive_definite(covariance):
             return Reason.BAD_COVARIANCE
         worst = max(covariance[0, 0], covariance[1, 1])
         return Reason.UNCERTAIN if worst > self._p.max_stddev**2 else None
@@ -151,7 +151,7 @@ def _up_variance(fix: Fix, covariance: FloatArray) -> float:
     return _UP_STDDEV_RATIO**2 * float(np.max(np.diag(covariance)))
 
 
-def is_covariance(covariance: FloatArray) -> bool:
+def _is_positive_definite(covariance: FloatArray) -> bool:
     """Whether (2, 2) is finite and positive definite."""
     (a, b), (c, d) = covariance.tolist()
     return all(map(math.isfinite, (a, b, c, d))) and a > 0.0 and d > 0.0 and a * d > b * c and b == c
@@ -159,8 +159,8 @@ def is_covariance(covariance: FloatArray) -> bool:
 
 def too_far_reason(datum: Datum, latitude: float, longitude: float) -> Reason:
     """Return the reason to reject a position (°) that is too far from the datum."""
-    other = latitude * datum.latitude < 0.0 or longitude * datum.longitude < 0.0
-    return Reason.HEMISPHERE if other else Reason.FAR
+    is_other_hemisphere = latitude * datum.latitude < 0.0 or longitude * datum.longitude < 0.0
+    return Reason.HEMISPHERE if is_other_hemisphere else Reason.FAR
 
 
 def east_north_up(
@@ -170,10 +170,10 @@ def east_north_up(
 
     E and N are infinite on the far side of the Earth, which would be projected onto the map, too.
     """
-    known = np.where(np.isnan(altitude), datum.altitude, altitude)
-    east, north, up = pymap3d.geodetic2enu(latitude, longitude, known, *datum)
-    near = np.asarray(up) > -_EARTH_RADIUS
-    return np.where(near, east, math.inf), np.where(near, north, math.inf), np.asarray(up)
+    altitudes = np.where(np.isnan(altitude), datum.altitude, altitude)
+    east, north, up = pymap3d.geodetic2enu(latitude, longitude, altitudes, *datum)
+    is_near = np.asarray(up) > -_EARTH_RADIUS
+    return np.where(is_near, east, math.inf), np.where(is_near, north, math.inf), np.asarray(up)
 
 
 def _east_north(datum: Datum, fix: Fix) -> tuple[float, float]:

@@ -60,6 +60,6 @@ class GnssLocalizerParameters(Parameters):
             )
 
     @property
-    def datum_is_given(self) -> bool:
+    def has_datum(self) -> bool:
         """Whether the map's origin is given by parameters."""
         return self.datum_latitude != 0.0 or self.datum_longitude != 0.0

@@ -43,14 +43,17 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._fixes = 0
         self._scans = 0
         self._is_uncertain = False  # whether the box is ambiguous in the latest scan
-        self._news = (0, 0)
+        self._reported_counts = (0, 0)
         self._poses = self.advertise(topic_class("box_pose"), "box_pose")
         self.subscribe(topic_class("scan"), "scan", self._on_scan)
         self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
 
     def health(self) -> list[Health]:
         """Return the numbers of scans and fixes, and why scans gave no fix."""
-        (fixes, scans), self._news = self._news, (self._fixes, self._scans)
+        (fixes_before, scans_before), self._reported_counts = (
+            self._reported_counts,
+            (self._fixes, self._scans),
+        )
         rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         restarts = self._localizer.restarts
         values: dict[str, object] = {
@@ -59,15 +62,15 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
             "restarts": restarts,
             **rejected,
         }
-        values["track of the run before"] = "gone on with" if self._localizer.resumed else "not used"
+        values["track of the run before"] = "continued" if self._localizer.resumed else "not used"
         if self._file.failure:
             values["track file"] = self._file.failure
-        if self._scans == scans:
+        if self._scans == scans_before:
             return [Health(WARN, "no scans: check the laser driver", values)]
-        if self._fixes == fixes and self._is_uncertain:
+        if self._fixes == fixes_before and self._is_uncertain:
             values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.ambiguous_positions)
             return [Health(WARN, UNCERTAIN_TEXT, values)]
-        if self._fixes == fixes:
+        if self._fixes == fixes_before:
             return [Health(WARN, "box not found; clear the view of the laser", values)]
         return [Health(OK, "running", values)]
 

@@ -16,33 +16,35 @@ _SILENCE_TIMEOUT = 0.2  # s, shortest silence that is reported
 
 
 def estimator_health(
-    estimator: SlipEstimator, watch: SourceWatch, silent: float | None, counts: Mapping[str, Any]
+    estimator: SlipEstimator, watch: SourceWatch, silence_s: float | None, counts: Mapping[str, Any]
 ) -> Health:
-    """Return the entry; ``silent``: seconds since the last sprocket sample, None before the first one."""
+    """Return the entry; ``silence_s``: since the last sprocket sample, None before the first one."""
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
     values = {**counts, "restarts": estimator.restarts, "divergences": estimator.divergences}
     values["attitude"] = estimator.attitude
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
     values |= {
-        found.form.label: found.sentence
-        for found in learned_quantities(estimator.learned, estimator.learned_context)
+        quantity.form.label: quantity.sentence
+        for quantity in learned_quantities(estimator.learned, estimator.learned_context)
     }
-    may_be = estimator.competing_explanations.text
+    explanations = estimator.competing_explanations.text
     values |= {
-        EXPLANATIONS: may_be or "none needed",
+        EXPLANATIONS: explanations or "none needed",
         "last events": recent_events_text(estimator.read_events()),
     }
-    if silent is not None and silent > max(p.sprocket_timeout, _SILENCE_TIMEOUT):
-        return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
+    if silence_s is not None and silence_s > max(p.sprocket_timeout, _SILENCE_TIMEOUT):
+        return Health(ERROR, f"sprockets silent for {silence_s:.1f} s", values)
     if not estimator.started:
-        requested = "sprockets" if silent is None else "a fix on " + ", ".join(nonempty_names(p.pose_sources))
-        return Health(WARN, f"{_divergence_prefix(watch, now_ns)}waiting for {requested}", values)
+        awaited = (
+            "sprockets" if silence_s is None else "a fix on " + ", ".join(nonempty_names(p.pose_sources))
+        )
+        return Health(WARN, f"{_divergence_prefix(watch, now_ns)}waiting for {awaited}", values)
     if estimator.frozen:
         return Health(WARN, "frozen: poses are ignored", values)
     if watch.has_diverged(now_ns):
         return Health(WARN, f"{_divergence_prefix(watch, now_ns)}running again", values)
-    if may_be:
-        return Health(WARN, may_be, values)
+    if explanations:
+        return Health(WARN, explanations, values)
     lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost_sources(now_ns).items()]
     return (
         Health(WARN, f"nothing accepted of {', '.join(lost)}", values)

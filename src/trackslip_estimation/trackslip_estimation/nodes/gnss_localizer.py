@@ -26,7 +26,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         """Create the localizer."""
         self._localizer = GnssLocalizer(self.settings)
         self._fixes = self._poses = 0
-        self._news = (0, 0)
+        self._reported_counts = (0, 0)
         self._published_datum = False
         self._pose = self.advertise(topic_class(POSE), POSE)
         self._datum = self.advertise(topic_class(DATUM), DATUM)
@@ -39,27 +39,34 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
 
     def health(self) -> list[Health]:
         """Return the numbers of fixes and poses, the datum, and why fixes gave no pose."""
-        (poses, fixes), self._news = self._news, (self._poses, self._fixes)
+        (poses_before, fixes_before), self._reported_counts = (
+            self._reported_counts,
+            (self._poses, self._fixes),
+        )
         rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         datum = self._localizer.datum
-        known = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
-        values = {"fixes": self._fixes, "poses": self._poses, "datum": known, **rejected}
-        news = self._localizer.tally.new_counts()
-        if self._fixes == fixes:
+        datum_text = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
+        values = {"fixes": self._fixes, "poses": self._poses, "datum": datum_text, **rejected}
+        new_rejections = self._localizer.tally.new_counts()
+        if self._fixes == fixes_before:
             return [Health(WARN, "no fixes", values)]
-        if self._poses == poses:
-            return [Health(WARN, f"all fixes rejected: {', '.join(why for _, why in news)}", values)]
-        return [Health(WARN if news else OK, f"{sum(news.values())} rejected" if news else "running", values)]
+        if self._poses == poses_before:
+            return [
+                Health(WARN, f"all fixes rejected: {', '.join(why for _, why in new_rejections)}", values)
+            ]
+        if new_rejections:
+            return [Health(WARN, f"{sum(new_rejections.values())} rejected", values)]
+        return [Health(OK, "running", values)]
 
     def _on_fix(self, message: Any) -> None:
         self._fixes += 1
-        place = self._localizer.locate(conversions.fix(message))
-        if isinstance(place, Reason):
+        position = self._localizer.locate(conversions.fix(message))
+        if isinstance(position, Reason):
             return
         if not self._published_datum:
-            self._publish_datum(place.stamp_ns)
+            self._publish_datum(position.stamp_ns)
         self._poses += 1
-        self._pose.publish(conversions.pose(make, place, POSE, self.settings.map_frame))
+        self._pose.publish(conversions.pose(make, position, POSE, self.settings.map_frame))
 
     def _publish_datum(self, stamp_ns: int) -> None:
         """Publish the datum; log it as parameters for a later run with the same map."""

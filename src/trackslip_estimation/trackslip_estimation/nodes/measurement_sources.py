@@ -37,7 +37,7 @@ _ANGLES = ("mounting_roll", "mounting_pitch", "mounting_yaw")
 
 
 class StaticMountings:
-    """IMU mountings from /tf_static, subscribed to if needed; each is determined once in a run."""
+    """IMU mountings from /tf_static, if an IMU needs it; each is determined once in a run."""
 
     def __init__(self, node: Node, base_frame: str, imus: Mapping[str, YawRateSource]) -> None:
         """``imus``: by topic.
@@ -63,18 +63,18 @@ class StaticMountings:
 
     def mounted_imu(self, source: str, frame: str) -> tuple[YawRateSource | None, dict[str, float]]:
         """Return an IMU with its mounting, None while that is unknown, and newly determined parameters."""
-        known = self._imus[source]
-        if known is not None:
-            return known, {}
+        imu = self._imus[source]
+        if imu is not None:
+            return imu, {}
         angles = self._frames.angles(self._base, frame)
         if angles is None:
             return None, {}
         roll, pitch, yaw = angles
         stated = self._stated[source]
-        known = replace(stated, mounting_roll=roll, mounting_pitch=pitch, mounting_yaw=yaw)
-        self._imus[source] = known
+        imu = replace(stated, mounting_roll=roll, mounting_pitch=pitch, mounting_yaw=yaw)
+        self._imus[source] = imu
         group = f"sources.{group_name(source)}"
-        return known, {f"{group}.{name}": angle for name, angle in zip(_ANGLES, angles, strict=True)}
+        return imu, {f"{group}.{name}": angle for name, angle in zip(_ANGLES, angles, strict=True)}
 
 
 class MeasurementSources:
@@ -136,9 +136,9 @@ class MeasurementSources:
         self._process(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str) -> None:
-        imu, found = self._mountings.mounted_imu(source, read(FrameFields, message).frame)
-        if found:  # published, so that a bag contains them
-            self._node.settings = self._node.settings.changed(found)
+        imu, parameters = self._mountings.mounted_imu(source, read(FrameFields, message).frame)
+        if parameters:  # published, so that a bag contains them
+            self._node.settings = self._node.settings.changed(parameters)
             self._node.publish_parameters()
         self._process_converted(
             source, Rejection.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
@@ -167,8 +167,8 @@ class MeasurementSources:
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))
 
-    def _process_converted(self, source: str, given: Measurement | Rejection) -> None:
-        if isinstance(given, Rejection):
-            self._node.tally.add(source, given)
+    def _process_converted(self, source: str, result: Measurement | Rejection) -> None:
+        if isinstance(result, Rejection):
+            self._node.tally.add(source, result)
         else:
-            self._process(given)
+            self._process(result)

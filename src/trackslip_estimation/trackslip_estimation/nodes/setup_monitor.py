@@ -22,27 +22,27 @@ class SetupMonitor:
     """Collects each input of the estimator; evaluates in its own thread, so that no measurement waits."""
 
     def __init__(
-        self, node: TrackslipNode[SlipEstimatorParameters], failed: Callable[[Exception], None]
+        self, node: TrackslipNode[SlipEstimatorParameters], on_failure: Callable[[Exception], None]
     ) -> None:
         self._node = node
         self._running = RunningCheck(node.settings)
-        self._background = BackgroundCheck(self._running, failed)
+        self._background = BackgroundCheck(self._running, on_failure)
         node.create_timer(_PERIOD, self._evaluate, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def add_input(self, given: Input) -> None:
+    def add_input(self, estimator_input: Input) -> None:
         """Add an input of the estimator; a reload restarts the check."""
-        if isinstance(given, Command | Reload):
-            if isinstance(given, Reload):
+        if isinstance(estimator_input, Command | Reload):
+            if isinstance(estimator_input, Reload):
                 self._running.restart(self._node.settings)
         else:
-            self._running.add(given)
+            self._running.add(estimator_input)
 
     def finish(self) -> None:
         """Wait for a running evaluation."""
         self._background.join()
 
     def health(self) -> list[Health]:
-        """The entry of the setup check."""
+        """Return the entry of the setup check."""
         return [setup_health(self._running.result)]
 
     def _evaluate(self) -> None:
@@ -51,14 +51,16 @@ class SetupMonitor:
 
 
 def setup_health(result: Result) -> Health:
-    """Plausible, or the causes with their remedies, or mistakes that are certain but one of several."""
-    values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
-    values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
+    """Return the entry: plausible, the causes with remedies, or mistakes whose cause is one of several."""
+    values = {cause.cause: f"{cause.evidence}. {cause.remedy}" for cause in result.causes}
+    values |= {f"not decided: {question.what}": question.needed for question in result.undetermined}
     if result.is_plausible:
         return Health(OK, "no setup mistake found", values, PART)
     if not result.causes:
         return Health(WARN, result.headline, values, PART)
     first, *others = result.causes
     words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]
-    words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_CAUSES - 1]]
+    words += [
+        f"also {cause.cause} ({cause.source}): {cause.evidence}" for cause in others[: _MOST_CAUSES - 1]
+    ]
     return Health(WARN, "; ".join(words), values, PART)

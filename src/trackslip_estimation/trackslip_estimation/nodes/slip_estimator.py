@@ -52,8 +52,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def configure(self) -> None:
         """Create the estimator, its outputs and its inputs."""
         p = self.settings
-        self._kept = StateKeeper(self, lambda: self._estimator)
-        self._estimator = SlipEstimator(p, learned=self._kept.learned)
+        self._state_keeper = StateKeeper(self, lambda: self._estimator)
+        self._estimator = SlipEstimator(p, learned=self._state_keeper.learned)
         self._watch = SourceWatch(p.timeouts_ns())
         self._setup = SetupMonitor(self, lambda error: self.callback_failures.add("setup check", error))
         self._processed = self._estimates = 0
@@ -72,16 +72,16 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         if self.has_run:
             self._process(Reload(values))
         else:
-            self._estimator = SlipEstimator(self.settings, learned=self._kept.learned)
+            self._estimator = SlipEstimator(self.settings, learned=self._state_keeper.learned)
         self._watch.set_timeouts(self.settings.timeouts_ns())
 
     def start_inputs(self) -> dict[str, Any]:
         """Return the states learned before this run, for the bag."""
-        return self._kept.start_inputs()
+        return self._state_keeper.start_inputs()
 
     def deactivate(self) -> None:
         """Save the learned states."""
-        self._kept.finish()
+        self._state_keeper.finish()
         self._setup.finish()
 
     def health(self) -> list[Health]:
@@ -92,7 +92,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         return [
             estimator_health(self._estimator, self._watch, silence, counts),
             *self._setup.health(),
-            *self._kept.health(),
+            *self._state_keeper.health(),
         ]
 
     def _on_reset(self, _: Any, response: Any) -> Any:
@@ -102,7 +102,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_forget(self, _: Any, response: Any) -> Any:
         if self.active:
-            self._kept.forget()
+            self._state_keeper.forget()
         return self._apply_command(Command(FORGET), response, "the estimate was reset without learned values")
 
     def _on_freeze(self, request: Any, response: Any) -> Any:
@@ -116,14 +116,14 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         response.success, response.message = self.active, text if self.active else "the node is not active"
         return response
 
-    def _process(self, given: Input) -> None:
-        report, estimate = self._estimator.process(given)
+    def _process(self, estimator_input: Input) -> None:
+        report, estimate = self._estimator.process(estimator_input)
         if estimate is not None:  # first: controllers use it
             self._outputs.publish(estimate)
             self._estimates += 1
         self._publish_report(report)
         self._processed += 1
-        self._setup.add_input(given)
+        self._setup.add_input(estimator_input)
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)

@@ -27,23 +27,21 @@ NO_OUTPUT_TEXT = "no forces and no soil are estimated"
 _NICENESS = 5  # soils change slowly; odometry has priority
 
 
-def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[str, Any]) -> Health:
-    """Return the entry; ``silent``: seconds since the last machine state, None before the first one."""
+def soil_health(estimator: SoilEstimator, silence_s: float | None, counts: Mapping[str, Any]) -> Health:
+    """Return the entry; ``silence_s``: since the last machine state, None before the first one."""
     values = {**counts, "restarts": estimator.restarts, **_soil_texts(estimator)}
-    if silent is None:
+    if silence_s is None:
         return Health(WARN, "waiting for machine_state", values)
-    if silent > _SILENCE_TIMEOUT:
-        return Health(ERROR, f"slip estimator silent for {silent:.1f} s", values)
+    if silence_s > _SILENCE_TIMEOUT:
+        return Health(ERROR, f"slip estimator silent for {silence_s:.1f} s", values)
     if estimator.faults:
         names = ", ".join(fault.value for fault in estimator.faults)
         return Health(ERROR, f"{names}: the estimates are held", values)
     if any(estimator.stalled):
         text = f"stalled: {_side_names(estimator.stalled)} commanded and under pressure, but not turning"
         return Health(WARN, text, values)
-    if any(estimator.is_stuck):
-        return Health(
-            WARN, f"getting stuck: {_side_names(estimator.is_stuck)} at the limit of the soil", values
-        )
+    if any(estimator.stuck):
+        return Health(WARN, f"getting stuck: {_side_names(estimator.stuck)} at the limit of the soil", values)
     return Health(OK, "running", values)
 
 
@@ -54,13 +52,13 @@ def _side_names(flags: tuple[bool, bool]) -> str:
 
 def _soil_texts(estimator: SoilEstimator) -> dict[str, Any]:
     """Return K, F_max, their identifiability and η_V of the flow check, as texts."""
-    found = estimator.strength
-    (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
+    strength = estimator.strength
+    (k_low, k_high), (f_low, f_high) = strength.shear_modulus_interval, strength.thrust_limit_interval
     efficiency = estimator.volumetric_efficiency
     return {
-        "shear modulus (cm)": f"{100 * found.shear_modulus:.2f} ({100 * k_low:.2f} to {100 * k_high:.2f})",
-        "tractive effort (N)": f"{found.thrust_limit:.0f} ({f_low:.0f} to {f_high:.0f})",
-        "identifiable": found.reason or "yes",
+        "shear modulus (cm)": f"{100 * strength.shear_modulus:.2f} ({100 * k_low:.2f} to {100 * k_high:.2f})",
+        "tractive effort (N)": f"{strength.thrust_limit:.0f} ({f_low:.0f} to {f_high:.0f})",
+        "identifiable": strength.reason or "yes",
         "volumetric efficiency": "unknown" if efficiency is None else f"{efficiency:.3f}",
     }
 
@@ -79,7 +77,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
             None if self.settings.vehicle.missing_groups_message else SoilEstimator(self.settings)
         )
         self._inputs = self._published = 0
-        self._received: float | None = None  # s, steady: time of the last machine state
+        self._received_s: float | None = None  # steady: time of the last machine state
         self._reported: Any = None
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
@@ -101,20 +99,20 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         total = self._estimator.tally.total
         rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
         counts = {"inputs": self._inputs, "messages": self._published, **rejected}
-        silent = None if self._received is None else time.monotonic() - self._received
-        return [soil_health(self._estimator, silent, counts)]
+        silence_s = None if self._received_s is None else time.monotonic() - self._received_s
+        return [soil_health(self._estimator, silence_s, counts)]
 
     def _on_hydraulics(self, message: Any) -> None:
         self._process(conversions.hydraulics(message))
 
     def _on_machine_state(self, message: Any) -> None:
-        self._received = time.monotonic()
+        self._received_s = time.monotonic()
         self._process(conversions.machine_state(message))
 
-    def _process(self, given: SoilInput) -> None:
+    def _process(self, soil_input: SoilInput) -> None:
         assert self._estimator is not None
         self._inputs += 1
-        outputs = self._estimator.advance(given)
+        outputs = self._estimator.advance(soil_input)
         for output in outputs:
             publisher = self._outputs[conversions.topic_of(output)]
             publisher.publish(conversions.message_of(make, output, self.settings.frame))
@@ -124,7 +122,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
     def _report_changes(self, estimator: SoilEstimator) -> None:
         """Publish the health at once if faults, stalled or stuck tracks have changed."""
-        condition = (estimator.faults, estimator.stalled, estimator.is_stuck)
+        condition = (estimator.faults, estimator.stalled, estimator.stuck)
         if condition != self._reported:
             self._reported = condition
             self.publish_health()

@@ -66,159 +66,165 @@ class _Findings:
 
 def check(log: Log) -> Result:
     """Causes, those with the highest odds first, and what the log cannot decide."""
-    found = _Findings()
+    findings = _Findings()
     with np.errstate(all="ignore"):
-        facts = _run_steps(log, found)
-    causes = [cause for cause in found.causes if cause.odds >= LEAST_ODDS]
+        facts = _run_steps(log, findings)
+    causes = [cause for cause in findings.causes if cause.odds >= LEAST_ODDS]
     causes.sort(key=lambda cause: -cause.odds)
-    open_ones = tuple(dict.fromkeys(found.undetermined))
-    return Result(tuple(causes), open_ones, tuple(facts), tuple(found.measured))
+    questions = tuple(dict.fromkeys(findings.undetermined))
+    return Result(tuple(causes), questions, tuple(facts), tuple(findings.measured))
 
 
-def _run_steps(log: Log, found: _Findings) -> list[str]:
+def _run_steps(log: Log, findings: _Findings) -> list[str]:
     log, missing = remove_missing(log)
-    found.add([_missing_cause(one) for one in missing])
+    findings.add([_missing_cause(value) for value in missing])
     log, causes = clocks.correct_time_units(log)
-    found.add(causes)
+    findings.add(causes)
     if not causes:  # else the log may lack the sources in another unit
         log, causes = with_common_clock(log)
-        found.add(causes)
-    found.add(clocks.judge_fractions(log))
-    found.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
-    log = replace(log, fixes=tuple(with_measured_noise(one) for one in log.fixes))
+        findings.add(causes)
+    findings.add(clocks.judge_fractions(log))
+    findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
+    log = replace(log, fixes=tuple(with_measured_noise(source) for source in log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
-        found.add([], [_STANDSTILL_QUESTION])
+        findings.add([], [_STANDSTILL_QUESTION])
         return []
-    log, drive = _correct_quantities(log, found)
+    log, drive = _correct_quantities(log, findings)
     rough = speeds.rough_scale(drive)
     unit = speeds.likely_unit(rough, speeds.speed_units(log))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
-    state = _examine_first_gyro(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
-    is_unclear = state.unit != 1.0 or state.is_contradicted
-    drive = state.drive if is_unclear else _remove_wrong_headings(state.drive, found)
-    causes, open_ones = clocks.judge_drift(drive)
-    found.add(causes, open_ones)
-    if causes or open_ones:  # a drifting clock changes all relations between sources
+    gyro_result = _examine_first_gyro(drive, log, findings, is_unit_known=bool(np.isfinite(rough)))
+    is_unclear = gyro_result.unit != 1.0 or gyro_result.is_contradicted
+    drive = gyro_result.drive if is_unclear else _remove_wrong_headings(gyro_result.drive, findings)
+    causes, open_questions = clocks.judge_drift(drive)
+    findings.add(causes, open_questions)
+    if causes or open_questions:  # a drifting clock changes all relations between sources
         return summary_lines(log, drive, unit)
-    found.add([], unmoved.judge_turns(drive))
+    findings.add([], unmoved.judge_turns(drive))
     if questions := unmoved.judge_counting(drive):  # unsigned counts give no path
-        found.add([], questions)
+        findings.add([], questions)
         return summary_lines(log, drive, unit)
-    compared = sides.TracksResult(None) if state.is_contradicted else sides.compare_tracks(drive, unit)
-    if any(cause.cause == "frame" for cause in compared.causes):  # the wrong unit explains the distance
-        found.causes = [cause for cause in found.causes if cause.cause != "datum"]
-    found.add(compared.causes, compared.undetermined)
-    if compared.drive is None:
+    comparison = (
+        sides.TracksResult(None) if gyro_result.is_contradicted else sides.compare_tracks(drive, unit)
+    )
+    if any(cause.cause == "frame" for cause in comparison.causes):  # the wrong unit explains the distance
+        findings.causes = [cause for cause in findings.causes if cause.cause != "datum"]
+    findings.add(comparison.causes, comparison.undetermined)
+    if comparison.drive is None:
         return summary_lines(log, drive, unit)
-    directions = decide_signs(compared.drive, is_upside_down=state.is_upside_down)
-    found.add(directions.causes, directions.undetermined)
-    corrected = directions.correct_signs(compared.drive)
+    directions = decide_signs(comparison.drive, is_upside_down=gyro_result.is_upside_down)
+    findings.add(directions.causes, directions.undetermined)
+    corrected = directions.correct_signs(comparison.drive)
     if directions.is_decided:
-        _judge_continuous(corrected, unit, state.unit, found)
+        _judge_continuous(corrected, unit, gyro_result.unit, findings)
     return summary_lines(log, corrected, unit)
 
 
-def _correct_quantities(log: Log, found: _Findings) -> tuple[Log, Drive]:
+def _correct_quantities(log: Log, findings: _Findings) -> tuple[Log, Drive]:
     """The log with its columns as the right quantities; a drive without gyro, and without wrong fixes."""
     drive, quantity = judge_quantity(Drive.from_sources(log, _first_gyro(log), *_primary_sources(log)))
-    found.add([] if quantity is None else [quantity])
-    counts = None if found.has_cause("speed_unit") else judge_counts(log.counts)
-    found.add([] if counts is None else [counts])
+    findings.add([] if quantity is None else [quantity])
+    counts = None if findings.has_cause("speed_unit") else judge_counts(log.counts)
+    findings.add([] if counts is None else [counts])
     log = replace(log, tracks=drive.log.tracks)
     log = log if drive.gyro is None else log.with_gyro(drive.gyro)
-    causes, open_ones = unmoved.judge_fixes(drive)
-    found.add(causes, open_ones)
+    causes, questions = unmoved.judge_fixes(drive)
+    findings.add(causes, questions)
     return log, Drive.from_sources(log, None, None if causes else drive.fixes, drive.compass)
 
 
-def _missing_cause(one: MissingValue) -> Cause:
+def _missing_cause(missing: MissingValue) -> Cause:
     evidence = (
-        f"{one.column} jumps to {one.value:g} and back {one.count} times ({one.share:.1%} of the readings)"
+        f"{missing.column} jumps to {missing.value:g} and back {missing.count} times "
+        f"({missing.share:.1%} of the readings)"
     )
     remedy = (
         "Leave out what stands for a missing value: blank cells, or in the "
-        f"mapping 'missing: {one.value:g}' at that column"
+        f"mapping 'missing: {missing.value:g}' at that column"
     )
-    odds = odds_of(min(one.count * one.numbers, 20) * 2.0)
-    return Cause("missing_value", one.source, evidence, odds, remedy)
+    odds = odds_of(min(missing.count * missing.numbers, 20) * 2.0)
+    return Cause("missing_value", missing.source, evidence, odds, remedy)
 
 
 def _primary_sources(log: Log) -> tuple[Fixes | None, Compass | None]:
     """The fixes with the most information, and the headings: of the same source if it has any."""
     fixes = max(log.fixes, key=lambda f: len(f.t) / max(f.noise, 0.01), default=None)
     usable = [c for c in log.compasses if not c.is_above and np.isfinite(c.headings).sum() > 10]
-    own = [c for c in usable if fixes is not None and c.name == fixes.name]
+    of_fixes = [c for c in usable if fixes is not None and c.name == fixes.name]
     used = [c for c in usable if c.is_used]
-    return fixes, next(iter([*own, *used, *usable]), None)
+    return fixes, next(iter([*of_fixes, *used, *usable]), None)
 
 
 def _first_gyro(log: Log) -> Gyro | None:
     """The first gyro of the log that has readings."""
-    return next((one for one in log.gyros if len(one.t) >= 10), None)
+    return next((gyro for gyro in log.gyros if len(gyro.t) >= 10), None)
 
 
 def _examine_first_gyro(
-    drive: Drive, log: Log, found: _Findings, *, is_unit_known: bool
+    drive: Drive, log: Log, findings: _Findings, *, is_unit_known: bool
 ) -> inertial.GyroResult:
     """Result for the first gyro of the log that has readings."""
     gyro = _first_gyro(log)
     if gyro is None:
         return inertial.GyroResult(drive)
-    state = inertial.examine_gyro(drive, gyro, is_unit_known=is_unit_known)
-    found.add(state.causes, state.undetermined)
-    return state
+    result = inertial.examine_gyro(drive, gyro, is_unit_known=is_unit_known)
+    findings.add(result.causes, result.undetermined)
+    return result
 
 
-def _remove_wrong_headings(drive: Drive, found: _Findings) -> Drive:
+def _remove_wrong_headings(drive: Drive, findings: _Findings) -> Drive:
     """The drive without its headings if they are not in rad; that becomes a cause."""
     compass = drive.compass
     if compass is None or drive.gyro is None:
         return drive
-    scale = turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
-    turned = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
-    factor, gain = heading_unit(compass, drive.grid.edges, turned)
+    scale = turn_scale(drive.turn, drive.tracks_over_tread)
+    gyro_angles = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
+    factor, gain = heading_unit(compass, drive.grid.edges, gyro_angles)
     is_known = count_turns(drive.turn - drive.turn_fit.bias * WINDOW) >= LEAST_TURNS
     is_known &= float(drive.turn_fit.logs.max()) > _UNIT_GAIN
     is_known &= bool(inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1])
     if factor == 1.0 or gain < _UNIT_GAIN or not is_known:
         return drive
-    was, named, unit = ("degrees", "radians", "deg") if factor > 1.0 else ("radians", "degrees", "rad")
-    evidence = f"the heading turns {factor:.3g} times as much as the gyro: {was}, declared {named}"
+    true_unit, declared, unit = (
+        ("degrees", "radians", "deg") if factor > 1.0 else ("radians", "degrees", "rad")
+    )
+    evidence = f"the heading turns {factor:.3g} times as much as the gyro: {true_unit}, declared {declared}"
     remedy = f"State its unit in the mapping: yaw: {{column: …, unit: {unit}}}"
     if compass.is_used:
-        found.add([Cause(signs.HEADING, compass.name, evidence, odds_of(gain), remedy)])
+        findings.add([Cause(signs.HEADING, compass.name, evidence, odds_of(gain), remedy)])
     return Drive.from_sources(drive.log, drive.gyro, drive.fixes, None)
 
 
-def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, found: _Findings) -> None:
+def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, findings: _Findings) -> None:
     """Judge quantities with an interval; ``drive`` has right signs and right units of speeds and gyro."""
     delays = clocks.measure_delays(drive)
     lever = _fit_lever_arm(drive, delays)
-    delay = _judge_delays(delays, lever, drive.fixes, found)
+    delay = _judge_delays(delays, lever, drive.fixes, findings)
     if delay is not None:
         drive = clocks.remove_delay(drive, delay)
     scale = judge_scale(drive, gyro_unit, lever)
     if scale is not None:
-        found.causes = [cause for cause in found.causes if cause.cause != scale.cause]  # replaces a unit
-        found.add([scale])
+        # replaces a unit
+        findings.causes = [cause for cause in findings.causes if cause.cause != scale.cause]
+        findings.add([scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
-        found.add([], [OpenQuestion("rolling radius and unit of the speeds", needed)])
+        findings.add([], [OpenQuestion("rolling radius and unit of the speeds", needed)])
         return
     if places.is_sliding(drive):
-        found.add([], [_SLIDING_QUESTION])
+        findings.add([], [_SLIDING_QUESTION])
         return
-    if not found.has_cause("speed_unit") and not _judge_distance(drive, drive.fixes, unit, found):
+    if not findings.has_cause("speed_unit") and not _judge_distance(drive, drive.fixes, unit, findings):
         return  # a lever arm needs the unit of the fixes
     if drive.gyro is not None and delay is None and scale is None:
-        found.add(*places.judge_lever(lever, drive.fixes, drive.machine))
-    found.add([], places.judge_direction(drive))
+        findings.add(*places.judge_lever(lever, drive.fixes, drive.machine))
+    findings.add([], places.judge_direction(drive))
     if lever is not None and max(lever.stddevs) < 0.3:
-        found.measured += _measured_lever_arms(lever, drive.fixes)
+        findings.measured += _measured_lever_arms(lever, drive.fixes)
     if drive.compass is not None:
-        offsets, open_ones, offset = places.judge_offset(drive, drive.compass)
-        found.add(offsets, open_ones)
-        found.measured += [] if offset is None else [offset]
+        offsets, questions, offset = places.judge_offset(drive, drive.compass)
+        findings.add(offsets, questions)
+        findings.measured += [] if offset is None else [offset]
 
 
 def _fit_lever_arm(drive: Drive, delays: Sequence[clocks.SourceDelay]) -> Lever | None:
@@ -231,35 +237,35 @@ def _fit_lever_arm(drive: Drive, delays: Sequence[clocks.SourceDelay]) -> Lever 
 
 
 def _judge_delays(
-    delays: list[clocks.SourceDelay], lever: Lever | None, fixes: Fixes | None, found: _Findings
+    delays: list[clocks.SourceDelay], lever: Lever | None, fixes: Fixes | None, findings: _Findings
 ) -> clocks.SourceDelay | None:
     """The delayed source, unless a lever arm explains its path: in turns, both shift fixes along the path."""
-    found.measured += [
+    findings.measured += [
         _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
     ]
-    causes, open_ones = ([], []) if found.has_cause("time_unit") else clocks.judge_delays(delays)
+    causes, questions = ([], []) if findings.has_cause("time_unit") else clocks.judge_delays(delays)
     delay = clocks.most_precise_delay(causes[0].source, delays) if causes else None
     if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:
-        better = delay.gain - (0.0 if lever is None else lever.log_ratio)
-        if abs(better) < _UNIT_GAIN:
+        advantage = delay.gain - (0.0 if lever is None else lever.log_ratio)
+        if abs(advantage) < _UNIT_GAIN:
             what = f"{delay.second}: late, or a lever arm"
-            open_ones.append(OpenQuestion(what, "turn on the spot, and stop and start on straights"))
-        if better < _UNIT_GAIN:
+            questions.append(OpenQuestion(what, "turn on the spot, and stop and start on straights"))
+        if advantage < _UNIT_GAIN:
             causes, delay = [], None
-    found.add(causes, open_ones)
+    findings.add(causes, questions)
     return delay
 
 
-def _judge_distance(drive: Drive, fixes: Fixes, unit: float, found: _Findings) -> bool:
+def _judge_distance(drive: Drive, fixes: Fixes, unit: float, findings: _Findings) -> bool:
     """Judge distance by tracks against distance by fixes; False if the unit of the fixes may be wrong."""
     fit, thin = drive.turn_fit, thin_fixes(fixes, 0.2)
     all_scales = [segment_scales(drive.path, thin, length) for length in _SEGMENTS]
-    best = max((one for one in all_scales if one is not None), key=speeds.piece_counts, default=None)
-    is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not found.has_cause("gyro_unit")
-    turned = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit if is_known else float("nan")
-    causes, open_ones = speeds.judge_distance(best, drive.log, unit, drive.distance_by_fixes, turned)
-    found.add(causes, open_ones)
-    return not any(one.is_wrong for one in open_ones)
+    best = max((scales for scales in all_scales if scales is not None), key=speeds.piece_counts, default=None)
+    is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not findings.has_cause("gyro_unit")
+    turn_ratio = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit if is_known else float("nan")
+    causes, questions = speeds.judge_distance(best, drive.log, unit, drive.distance_by_fixes, turn_ratio)
+    findings.add(causes, questions)
+    return not any(question.is_wrong for question in questions)
 
 
 def _measured_delay(delay: clocks.SourceDelay) -> MeasuredValue:

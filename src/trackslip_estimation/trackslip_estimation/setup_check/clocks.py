@@ -55,24 +55,28 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
     factors = {name: time_factor(t, kind) for name, kind, t in series}
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
-    common = set(factors.values())
-    if len(common) > 1 and 1.0 in common:  # a wrong unit may still give a plausible period
-        other = (common - {1.0}).pop()
+    distinct_factors = set(factors.values())
+    if (
+        len(distinct_factors) > 1 and 1.0 in distinct_factors
+    ):  # a wrong unit may still give a plausible period
+        other = (distinct_factors - {1.0}).pop()
         spans = {name: float(t[-1] - t[0]) for name, _, t in series if len(t) > 1}
         longest = max(spans[n] for n in spans if factors[n] == other)
         similar = [n for n in spans if factors[n] == 1.0 and 0.2 < spans[n] / longest < 5.0]
         factors |= dict.fromkeys(similar, other)
     causes = []
-    whole = len(set(factors.values())) == 1
+    is_same_unit = len(set(factors.values())) == 1
     for name, _, t in series:
         factor = factors[name]
-        if factor == 1.0 or (whole and name != TRACKS):
+        if factor == 1.0 or (is_same_unit and name != TRACKS):
             continue
         period = float(np.median(np.diff(t)))
-        who = "all sources" if whole else name
-        evidence = f"stamps of {who} are {period:.3g} s apart; as {_NAMES[factor]}, {period * factor:.3g} s"
+        subject = "all sources" if is_same_unit else name
+        evidence = (
+            f"stamps of {subject} are {period:.3g} s apart; as {_NAMES[factor]}, {period * factor:.3g} s"
+        )
         remedy = f"State the unit in the mapping: time: {{column: …, unit: {_NAMES[factor].split(',')[0]}}}"
-        causes.append(Cause("time_unit", "all" if whole else name, evidence, odds_of(12.0), remedy))
+        causes.append(Cause("time_unit", "all" if is_same_unit else name, evidence, odds_of(12.0), remedy))
     return _scale_stamps(log, factors), causes
 
 
@@ -87,8 +91,8 @@ def judge_fractions(log: Log) -> list[Cause]:
     """A cause for each source with several readings per stamp, where all stamps are whole seconds."""
     causes = []
     for name, _, t in _source_stamps(log):
-        seconds, per_stamp = np.diff(t), log.per_stamp.get(name, 1.0)
-        is_whole = bool((np.abs(seconds - np.round(seconds)) < _EXACT).all())
+        steps, per_stamp = np.diff(t), log.per_stamp.get(name, 1.0)
+        is_whole = bool((np.abs(steps - np.round(steps)) < _EXACT).all())
         if len(t) < _LEAST_STAMPS or per_stamp < _SEVERAL or not is_whole:
             continue
         evidence = (
@@ -115,20 +119,20 @@ def _scale_stamps(log: Log, factors: dict[str, float]) -> Log:
     similar = {name for name, factor in factors.items() if factor == common}
     gyros = tuple(replace(g, t=scale(g.t)) for g in log.gyros if g.name in similar)
     fixes = tuple(replace(f, t=scale(f.t)) for f in log.fixes if f.name in similar)
-    known = similar | ({c.name for c in log.compasses} - factors.keys())
-    compasses = tuple(replace(c, t=scale(c.t)) for c in log.compasses if c.name in known)
+    same_unit = similar | ({c.name for c in log.compasses} - factors.keys())
+    compasses = tuple(replace(c, t=scale(c.t)) for c in log.compasses if c.name in same_unit)
     return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
 
 
 def measure_delays(drive: Drive) -> list[SourceDelay]:
     """Delays between pairs of tracks, gyro, headings and fixes, as far as the drive shows them."""
-    found: list[SourceDelay] = []
+    delays: list[SourceDelay] = []
     rates = _turn_rates(drive)
     for first, second in itertools.combinations(rates, 2):
         delay = correlate_rates(rates[first], rates[second], drive.grid.cell)
         if delay is not None:
-            found.append(SourceDelay(first, second, delay.value, delay.stddev))
-    return found + ([] if drive.fixes is None else _fix_delays(drive, drive.fixes, found))
+            delays.append(SourceDelay(first, second, delay.value, delay.stddev))
+    return delays + ([] if drive.fixes is None else _fix_delays(drive, drive.fixes, delays))
 
 
 def _turn_rates(drive: Drive) -> dict[str, FloatArray]:
@@ -150,21 +154,23 @@ def judge_drift(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
         for pair in itertools.combinations(rates, 2)
         if (drift := _drift(rates[pair[0]], rates[pair[1]], drive.grid.cell)) is not None
     }
-    off = {pair: value for pair, (value, is_off) in drifts.items() if is_off}
-    if not off:
+    drifting = {pair: value for pair, (value, is_off) in drifts.items() if is_off}
+    if not drifting:
         return [], []
-    suspects = [one for one in rates if all((one in pair) == (pair in off) for pair in drifts)]
-    (first, second), value = next(iter(off.items()))
-    apart = f"by {abs(value) * 1e3:.1f} ms in each second, evenly"
+    suspects = [source for source in rates if all((source in pair) == (pair in drifting) for pair in drifts)]
+    (first, second), value = next(iter(drifting.items()))
+    rate_text = f"by {abs(value) * 1e3:.1f} ms in each second, evenly"
     remedy = (
         "stamp its readings on arrival (mapping: stamp: log, or received), or set its clock by NTP or PTP"
     )
     if len(suspects) != 1:
         return [], [
-            OpenQuestion(f"stamps of {first} and {second} drift apart {apart}", remedy, is_wrong=True)
+            OpenQuestion(f"stamps of {first} and {second} drift apart {rate_text}", remedy, is_wrong=True)
         ]
     (name,) = suspects
-    evidence = f"stamps of {name} drift from those of the other sources {apart}: its clock is fast or slow"
+    evidence = (
+        f"stamps of {name} drift from those of the other sources {rate_text}: its clock is fast or slow"
+    )
     return [Cause("source_delay", name, evidence, odds_of(12.0), remedy[0].upper() + remedy[1:])], []
 
 
@@ -176,42 +182,46 @@ def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, b
     size = len(first) // count
     parts = [slice(k * size, (k + 1) * size) for k in range(count)]
     delays = [correlate_rates(first[part], second[part], cell) for part in parts]
-    shown = [(k * size * cell, delay.value) for k, delay in enumerate(delays) if delay is not None]
-    end = next((k for k, (_, value) in enumerate(shown) if abs(value) > _LARGEST_PART_DELAY), len(shown))
+    measured = [(k * size * cell, delay.value) for k, delay in enumerate(delays) if delay is not None]
+    end = next(
+        (k for k, (_, value) in enumerate(measured) if abs(value) > _LARGEST_PART_DELAY), len(measured)
+    )
     if end < _LEAST_PARTS:
         return None
-    t, values = np.array(shown[:end]).T
-    own = t - t.mean()
-    slope = float(own @ values / (own @ own))
-    rest = np.hypot(np.std(values - slope * own, ddof=2), 0.02)
-    span, stddev = float(np.ptp(t)), float(rest / np.sqrt(own @ own))
+    t, values = np.array(measured[:end]).T
+    centred = t - t.mean()
+    slope = float(centred @ values / (centred @ centred))
+    residual = np.hypot(np.std(values - slope * centred, ddof=2), 0.02)
+    span, stddev = float(np.ptp(t)), float(residual / np.sqrt(centred @ centred))
     least = max(LEAST_DELAY + _LONGER * stddev * span, 2.0 * _CERTAIN * stddev * span)
     return slope, abs(slope) * span > least
 
 
-def _fix_delays(drive: Drive, fixes: Fixes, found: list[SourceDelay]) -> list[SourceDelay]:
+def _fix_delays(drive: Drive, fixes: Fixes, delays: list[SourceDelay]) -> list[SourceDelay]:
     """Delays of fixes after dead reckoning by tracks; by tracks and gyro if these have no mutual delay."""
     gyro = drive.gyro.name if drive.gyro is not None else ""
-    apart = next((one for one in found if (one.first, one.second) == (TRACKS, gyro)), None)
-    is_common = apart is not None and abs(apart.value) < LEAST_DELAY
+    gyro_delay = next((delay for delay in delays if (delay.first, delay.second) == (TRACKS, gyro)), None)
+    is_common = gyro_delay is not None and abs(gyro_delay.value) < LEAST_DELAY
     path, thin = drive.path if is_common else drive.track_path, thin_fixes(fixes, 0.3)
-    own = [
+    candidates = [
         _delay_by_segments(path_delay_logs(path, thin, length, _TRIED_DELAYS), fixes) for length in _LENGTHS
     ]
-    best = min((delay for delay in own if delay is not None), key=lambda delay: delay.stddev, default=None)
+    best = min(
+        (delay for delay in candidates if delay is not None), key=lambda delay: delay.stddev, default=None
+    )
     if best is None:
         return []
-    if apart is None:
+    if gyro_delay is None:
         return [best]
-    both = float(np.hypot(best.stddev, apart.stddev))
-    return [best, SourceDelay(gyro, fixes.name, best.value - apart.value, both, best.gain)]
+    stddev = float(np.hypot(best.stddev, gyro_delay.stddev))
+    return [best, SourceDelay(gyro, fixes.name, best.value - gyro_delay.value, stddev, best.gain)]
 
 
-def _delay_by_segments(of_segments: FloatArray, fixes: Fixes) -> SourceDelay | None:
+def _delay_by_segments(segment_logs: FloatArray, fixes: Fixes) -> SourceDelay | None:
     """Delay by (d, s) likelihoods; None where the maximum is at an end of the search, or not significant."""
-    logs = of_segments.sum(axis=1)
+    logs = segment_logs.sum(axis=1)
     k = int(np.argmax(logs))
-    if k in (0, len(_TRIED_DELAYS) - 1) or not _is_consistent(of_segments, k):
+    if k in (0, len(_TRIED_DELAYS) - 1) or not _is_consistent(segment_logs, k):
         return None
     gain = float(logs[k] - logs[int(np.argmin(np.abs(_TRIED_DELAYS)))])
     if abs(_TRIED_DELAYS[k]) > LEAST_DELAY and gain < LEAST_LOG + PRIOR:
@@ -219,47 +229,49 @@ def _delay_by_segments(of_segments: FloatArray, fixes: Fixes) -> SourceDelay | N
     near = np.flatnonzero(logs > logs[k] - 2.0)
     stddev = float(_TRIED_DELAYS[near[-1]] - _TRIED_DELAYS[near[0]]) / 4.0 + 0.03
     return SourceDelay(
-        TRACKS, fixes.name, float(_TRIED_DELAYS[k]), max(stddev, _jackknife(of_segments, k)), gain
+        TRACKS, fixes.name, float(_TRIED_DELAYS[k]), max(stddev, _jackknife(segment_logs, k)), gain
     )
 
 
-def _is_consistent(of_segments: FloatArray, best: int) -> bool:
+def _is_consistent(segment_logs: FloatArray, best: int) -> bool:
     """Whether enough segments of (d, s) likelihoods show a delay, and half of them the delay ``best``."""
-    shown = of_segments[:, np.ptp(of_segments, axis=0) > _LEAST_LOG_RANGE]
-    if shown.shape[1] < _LEAST_SEGMENTS:
+    clear = segment_logs[:, np.ptp(segment_logs, axis=0) > _LEAST_LOG_RANGE]
+    if clear.shape[1] < _LEAST_SEGMENTS:
         return False
-    own = _TRIED_DELAYS[np.argmax(shown, axis=0)]
-    return bool((np.abs(own - _TRIED_DELAYS[best]) < LEAST_DELAY).mean() >= 0.5)
+    delays = _TRIED_DELAYS[np.argmax(clear, axis=0)]
+    return bool((np.abs(delays - _TRIED_DELAYS[best]) < LEAST_DELAY).mean() >= 0.5)
 
 
-def _jackknife(of_segments: FloatArray, best: int) -> float:
+def _jackknife(segment_logs: FloatArray, best: int) -> float:
     """Standard deviation, s, of the delay of (d, s) likelihoods, by leaving out one segment at a time."""
-    without = of_segments.sum(axis=1)[:, np.newaxis] - of_segments
-    moved = _TRIED_DELAYS[np.argmax(without, axis=0)] - _TRIED_DELAYS[best]
-    count = len(moved)
-    return float(np.sqrt((count - 1) / count * np.sum(moved**2))) if count > 1 else float(_TRIED_DELAYS[-1])
+    without = segment_logs.sum(axis=1)[:, np.newaxis] - segment_logs
+    deviations = _TRIED_DELAYS[np.argmax(without, axis=0)] - _TRIED_DELAYS[best]
+    count = len(deviations)
+    return (
+        float(np.sqrt((count - 1) / count * np.sum(deviations**2))) if count > 1 else float(_TRIED_DELAYS[-1])
+    )
 
 
 def judge_delays(delays: list[SourceDelay]) -> tuple[list[Cause], list[OpenQuestion]]:
     """The source whose stamps are delayed against those of the others."""
     values: dict[tuple[str, str], tuple[float, float]] = {}
     for delay in sorted(
-        delays, key=lambda one: (not (one.gain is None and one.stddev < _FINE_STDDEV), one.stddev)
+        delays, key=lambda delay: (not (delay.gain is None and delay.stddev < _FINE_STDDEV), delay.stddev)
     ):
         values.setdefault((delay.first, delay.second), (delay.value, delay.stddev))
-    off = {
+    significant = {
         key: (value, stddev)
         for key, (value, stddev) in values.items()
         if abs(value) > max(LEAST_DELAY + _LONGER * stddev, _CERTAIN * stddev)
     }
-    if not off:
+    if not significant:
         return [], []
     scores = {}
-    for party in {one for key in values for one in key}:
-        with_it = [key for key in values if party in key]
-        without = [key for key in values if party not in key]
-        if all(key in off for key in with_it) and not any(key in off for key in without):
-            scores[party] = len(with_it) + len(without)
+    for source in {topic for key in values for topic in key}:
+        with_source = [key for key in values if source in key]
+        without = [key for key in values if source not in key]
+        if all(key in significant for key in with_source) and not any(key in significant for key in without):
+            scores[source] = len(with_source) + len(without)
     (best, *others) = sorted(scores, key=lambda p: -scores[p]) or [""]
     if not best:
         return [], []
@@ -302,8 +314,8 @@ def remove_delay(drive: Drive, delay: SourceDelay) -> Drive:
 
 def most_precise_delay(source: str, delays: list[SourceDelay]) -> SourceDelay:
     """The pair with the most precise delay of a source, ordered with that source as its second."""
-    own = [delay for delay in delays if source in (delay.first, delay.second)]
-    best = min(own, key=lambda delay: (delay.gain is not None, delay.stddev))
+    of_source = [delay for delay in delays if source in (delay.first, delay.second)]
+    best = min(of_source, key=lambda delay: (delay.gain is not None, delay.stddev))
     return (
         best
         if best.second == source

@@ -9,14 +9,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.setup_check.grid import continuous_angles
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
-
-Rows = NDArray[np.void]  # of at least the fields of ``records.MEASUREMENT``
 
 _UNMEASURED_HEADING_VARIANCE = 0.3**2  # rad², variance from which a heading counts as unmeasured
 _UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
@@ -40,23 +38,23 @@ class Collector:
     counts: dict[Key, int] = field(default_factory=dict)
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Append (n,) measurements of the kinds that are compared; ``sources``: names by their numbers."""
+        """Append (n,) ``records.MEASUREMENT`` of the compared kinds; ``sources``: names by their numbers."""
         for kind in _KINDS:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
-                own, key = of_kind[of_kind["source"] == number], (kind, sources[number])
+                source_rows, key = of_kind[of_kind["source"] == number], (kind, sources[number])
                 if self.counts.get(key, 0) < _MOST_READINGS:
-                    self.counts[key] = self.counts.get(key, 0) + len(own)
-                    found = own["stamp_ns"].astype(np.int64), _column_values(kind, own)
-                    self.parts.setdefault(key, []).append(found)
+                    self.counts[key] = self.counts.get(key, 0) + len(source_rows)
+                    part = source_rows["stamp_ns"].astype(np.int64), _column_values(kind, source_rows)
+                    self.parts.setdefault(key, []).append(part)
 
     def log(self) -> Log | None:
         """The log of all columns, on one clock; None without sprockets."""
-        whole: Columns = {}
+        columns: Columns = {}
         for key, parts in self.parts.items():
             stamps, values = zip(*parts, strict=True)
-            whole[key] = np.concatenate(stamps), np.concatenate(values)
-        return log_of_columns(whole, self.parameters)
+            columns[key] = np.concatenate(stamps), np.concatenate(values)
+        return log_of_columns(columns, self.parameters)
 
 
 def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
@@ -65,18 +63,16 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
     if tracks is None or not len(tracks):
         return None
     start = int(tracks.min())
-    left_out: dict[str, int] = {}
     per_stamp: dict[str, float] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
-        t, sound, lost = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
-        left_out |= {key[1]: lost} if lost else {}
+        t, readings, invalid = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
         if len(t):
-            ready[key] = t, sound
-            per_stamp[key[1]] = (len(stamps) - lost) / len(t)
+            ready[key] = t, readings
+            per_stamp[key[1]] = (len(stamps) - invalid) / len(t)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
-    return replace(_make_log(ready, p, left_out), per_stamp=per_stamp)
+    return replace(_make_log(ready, p), per_stamp=per_stamp)
 
 
 def _column_values(kind: int, rows: Rows) -> FloatArray:
@@ -116,16 +112,15 @@ def _valid_readings(
     """
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
-        sound = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
-    sound &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
-    t, first = np.unique((stamps[sound] - start_ns) * 1e-9, return_index=True)
-    return t, values[sound][first], int((~sound).sum())
+        is_valid = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
+    is_valid &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
+    t, first = np.unique((stamps[is_valid] - start_ns) * 1e-9, return_index=True)
+    return t, values[is_valid][first], int((~is_valid).sum())
 
 
 def _make_log(
     ready: Mapping[tuple[int, str], tuple[FloatArray, FloatArray]],
     p: SlipEstimatorParameters,
-    left_out: dict[str, int],
 ) -> Log:
     machine = p.vehicle.kinematics
     gyros, fixes, compasses, swing = [], [], [], None
@@ -139,9 +134,9 @@ def _make_log(
             imu = stated[name]
             rates = values[:, :3].copy()
             rates[:, 2] *= imu.sign / imu.scale
-            turned = imu.mounting_roll, imu.mounting_pitch, imu.mounting_yaw
-            stated_as = (imu.above, float(imu.sign), imu.scale, turned)
-            gyros.append(Gyro(name, t, rates, values[:, 3:6], *stated_as))
+            mounting = imu.mounting_roll, imu.mounting_pitch, imu.mounting_yaw
+            mounted = (imu.above, float(imu.sign), imu.scale, mounting)
+            gyros.append(Gyro(name, t, rates, values[:, 3:6], *mounted))
         elif kind == POSE and name in poses:
             pose = poses[name]
             stddevs = np.sqrt(np.maximum(values[:, 3:5].mean(axis=1), pose.position_floor**2))
@@ -150,15 +145,17 @@ def _make_log(
             if np.isfinite(values[:, 2]).sum() > 2:
                 compasses.append(Compass(name, t, values[:, 2], pose.use_heading, is_above=pose.above))
         elif kind == HEADING and name in headings:
-            own = headings[name]
-            counted = (own.offset, own.convention, own.sign)
-            compasses.append(Compass(name, t, values[:, 0] - own.offset, True, False, *counted, own.above))
+            heading = headings[name]
+            applied = (heading.offset, heading.convention, heading.sign)
+            compasses.append(
+                Compass(name, t, values[:, 0] - heading.offset, True, False, *applied, heading.above)
+            )
         elif kind == ON_SWING and name in angles:
             swing = t, values[:, 0] - angles[name].offset
     if swing is not None:
-        compasses = [_undercarriage_compass(one, swing) for one in compasses]
+        compasses = [_undercarriage_compass(compass, swing) for compass in compasses]
     geometry = Machine(machine.rolling_radius, machine.tread, machine.contact_length)
-    return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, left_out, counts)
+    return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, counts)
 
 
 def _undercarriage_compass(compass: Compass, swing: tuple[FloatArray, FloatArray]) -> Compass:

@@ -39,40 +39,42 @@ class _Shift(NamedTuple):
 def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
     """The log on the clock of the tracks, and a cause for each source on another one."""
     causes = _judge_overlap(log)
-    elsewhere = {cause.source for cause in causes}
+    other_clock = {cause.source for cause in causes}
     shifts = {}
-    for one in log.fixes:
-        shift = None if one.name in elsewhere else _fix_shift(log.tracks, log.machine.radius, one)
+    for source in log.fixes:
+        shift = None if source.name in other_clock else _fix_shift(log.tracks, log.machine.radius, source)
         if shift is not None:
-            shifts[one.name] = shift.value
-            causes.append(_shift_cause(one.name, shift))
+            shifts[source.name] = shift.value
+            causes.append(_shift_cause(source.name, shift))
     if not causes:
         return log, []
-    gyros = tuple(one for one in log.gyros if one.name not in elsewhere)
-    fixes = [replace(one, t=one.t - shifts.get(one.name, 0.0)) for one in log.fixes]
+    gyros = tuple(source for source in log.gyros if source.name not in other_clock)
+    fixes = [replace(source, t=source.t - shifts.get(source.name, 0.0)) for source in log.fixes]
     # the clock of all other compasses is unknown
-    compasses = [replace(one, t=one.t - shifts[one.name]) for one in log.compasses if one.name in shifts]
-    kept = tuple(one for one in fixes if one.name not in elsewhere)
-    return replace(log, gyros=gyros, fixes=kept, compasses=tuple(compasses)), causes
+    compasses = [
+        replace(source, t=source.t - shifts[source.name]) for source in log.compasses if source.name in shifts
+    ]
+    remaining = tuple(source for source in fixes if source.name not in other_clock)
+    return replace(log, gyros=gyros, fixes=remaining, compasses=tuple(compasses)), causes
 
 
 def _judge_overlap(log: Log) -> list[Cause]:
     """A cause for each source whose readings all lie before the first of the tracks, or after the last."""
     begin, end = float(log.tracks.t[0]), float(log.tracks.t[-1])
-    found = []
+    causes = []
     sources: tuple[Gyro | Fixes, ...] = (*log.gyros, *log.fixes)
-    for one in sources:
-        if len(one.t) < _LEAST_READINGS or len(log.tracks.t) < _LEAST_READINGS:
+    for source in sources:
+        if len(source.t) < _LEAST_READINGS or len(log.tracks.t) < _LEAST_READINGS:
             continue
-        late, early = float(one.t[0]) - end, begin - float(one.t[-1])
+        late, early = float(source.t[0]) - end, begin - float(source.t[-1])
         if max(late, early) < _LEAST_SEPARATION:
             continue
         where = f"begins {late:.0f} s after the end" if late > 0.0 else f"ends {early:.0f} s before the begin"
-        evidence = f"{one.name} {where} of the sprockets: the two have no time in common"
-        of_clock = f"bring both to one clock (mapping of {one.name}: time_offset, or zone of its times)"
+        evidence = f"{source.name} {where} of the sprockets: the two have no time in common"
+        of_clock = f"bring both to one clock (mapping of {source.name}: time_offset, or zone of its times)"
         remedy = f"Record both together, or {of_clock}"
-        found.append(Cause("source_delay", one.name, evidence, odds_of(12.0), remedy))
-    return found
+        causes.append(Cause("source_delay", source.name, evidence, odds_of(12.0), remedy))
+    return causes
 
 
 def _shift_cause(name: str, shift: _Shift) -> Cause:
@@ -88,15 +90,15 @@ def _shift_cause(name: str, shift: _Shift) -> Cause:
 
 def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     """Delay of the fixes beyond ``LARGEST_DELAY``; None where the drive shows none."""
-    sound = np.isfinite(fixes.places).all(axis=1)
-    if min(len(tracks.t), int(sound.sum())) < _LEAST_READINGS:
+    is_finite = np.isfinite(fixes.places).all(axis=1)
+    if min(len(tracks.t), int(is_finite.sum())) < _LEAST_READINGS:
         return None
-    first = min(float(tracks.t[0]), float(fixes.t[sound][0]))
-    last = max(float(tracks.t[-1]), float(fixes.t[sound][-1]))
-    period = float(np.median(np.diff(fixes.t[sound])))
+    first = min(float(tracks.t[0]), float(fixes.t[is_finite][0]))
+    last = max(float(tracks.t[-1]), float(fixes.t[is_finite][-1]))
+    period = float(np.median(np.diff(fixes.t[is_finite])))
     times = np.arange(first, last, _STEP)
     by_tracks = _window_speeds(tracks.t, tracks.angles.mean(axis=1, keepdims=True) * radius, times)
-    by_fixes = _window_speeds(fixes.t[sound], fixes.places[sound], times)
+    by_fixes = _window_speeds(fixes.t[is_finite], fixes.places[is_finite], times)
     steps = min(round(_LARGEST_SHIFT / _STEP), len(times) - 1)
     shifts = _STEP * np.arange(-steps, steps + 1)
     r, counts = _correlations(by_tracks, by_fixes, steps)
@@ -104,8 +106,11 @@ def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     least = LARGEST_DELAY + max(period - _WINDOW, 0.0)
     if not least <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST_CORRELATION:
         return None
-    of_tracks, of_fixes = (_correlations(one, one, steps)[0] for one in (by_tracks, by_fixes))
-    effective = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings per independent one (Bartlett)
+    track_autocorrelation, fix_autocorrelation = (
+        _correlations(speeds, speeds, steps)[0] for speeds in (by_tracks, by_fixes)
+    )
+    # readings per independent one (Bartlett)
+    effective = max(float(np.sum(track_autocorrelation * fix_autocorrelation)), 1.0)
     without = float(r[np.abs(shifts) <= _STEP].max())
     second = float(r[np.abs(shifts - shifts[best]) > _WIDTH].max())
     gain, over_second = (
@@ -115,15 +120,17 @@ def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     gain -= PRIOR + np.log(len(shifts))
     if min(gain, over_second) < LEAST_LOG:
         return None
-    bend = r[best - 1] - 2.0 * r[best] + r[best + 1]
-    part = 0.5 * (r[best - 1] - r[best + 1]) / bend if bend < 0.0 else 0.0
+    curvature = r[best - 1] - 2.0 * r[best] + r[best + 1]
+    part = 0.5 * (r[best - 1] - r[best + 1]) / curvature if curvature < 0.0 else 0.0
     return _Shift(float(shifts[best] + part * _STEP), float(r[best]), without, float(gain))
 
 
 def _window_speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
     """(k,) speeds by (n, d) values in windows about the times; nan outside the readings."""
     ends = [
-        np.column_stack([np.interp(times + side * _WINDOW / 2.0, t, one, np.nan, np.nan) for one in values.T])
+        np.column_stack(
+            [np.interp(times + side * _WINDOW / 2.0, t, column, np.nan, np.nan) for column in values.T]
+        )
         for side in (-1.0, 1.0)
     ]
     speeds = np.linalg.norm(ends[1] - ends[0], axis=1) / _WINDOW

@@ -20,7 +20,7 @@ _MOST_COUNTS = 5.5  # counts in a change; the digits of a log may hide counts in
 _LEAST_CHANGES = 5
 _ROUNDED_SHARE = 0.1  # share of readings whose change differs from that before
 _LEAST_COUNT_ANGLE = 5e-3  # rad; a finer count is below the noise of any speed
-_LEAST_ANGLE_RATIO = 5.0  # ratio of the shown to the stated angle
+_LEAST_ANGLE_RATIO = 5.0  # ratio of the measured to the stated angle
 _LEAST_STEP = 1e-6  # m, resolution of a place on the earth in 64 bit floats
 LEAST_ROUNDING_RATIO = 2.0  # to the stated standard deviation; steps of such a rounding count as motion
 MORE_DIGITS = "more digits (of degrees 8, no 32 bit floats)"
@@ -49,15 +49,16 @@ def least_change(changes: FloatArray) -> float:
         return 0.0
     multiples = changes / changes[moves].min()
     counts, small = np.round(multiples), multiples < _MOST_COUNTS
-    shown = moves & small
-    is_whole = np.abs(multiples - counts)[shown] < _WHOLE_TOLERANCE
-    next_to = small[1:] & small[:-1] & (moves[1:] | moves[:-1])
-    rounded = np.count_nonzero((counts[1:] != counts[:-1])[next_to])
+    is_small_move = moves & small
+    is_whole = np.abs(multiples - counts)[is_small_move] < _WHOLE_TOLERANCE
+    are_neighbours = small[1:] & small[:-1] & (moves[1:] | moves[:-1])
+    different_counts = np.count_nonzero((counts[1:] != counts[:-1])[are_neighbours])
     are_counts = (
-        np.count_nonzero(is_whole) > _WHOLE_SHARE * len(is_whole) and rounded > _ROUNDED_SHARE * next_to.sum()
+        np.count_nonzero(is_whole) > _WHOLE_SHARE * len(is_whole)
+        and different_counts > _ROUNDED_SHARE * are_neighbours.sum()
     )
     is_known = len(is_whole) >= _LEAST_CHANGES and are_counts
-    return float(np.median(changes[shown] / counts[shown])) if is_known else 0.0
+    return float(np.median(changes[is_small_move] / counts[is_small_move])) if is_known else 0.0
 
 
 def rounding_of(places: FloatArray, stated: float) -> float:
@@ -71,11 +72,11 @@ def rounding_of(places: FloatArray, stated: float) -> float:
 
 def judge_counts(counts: Counts) -> Cause | None:
     """A count that is stated far too small: the estimator takes single counts for jumps then."""
-    if counts.shown < _LEAST_COUNT_ANGLE or counts.stated * _LEAST_ANGLE_RATIO > counts.shown:
+    if counts.measured < _LEAST_COUNT_ANGLE or counts.stated * _LEAST_ANGLE_RATIO > counts.measured:
         return None
     evidence = (
-        f"the sprockets turn by {counts.shown:.3g} rad at the least, and a count is stated to be "
+        f"the sprockets turn by {counts.measured:.3g} rad at the least, and a count is stated to be "
         f"{counts.stated:.3g} rad"
     )
-    remedy = f"Set {remedies.parameter('encoder_resolution', counts.shown)}"
+    remedy = f"Set {remedies.parameter('encoder_resolution', counts.measured)}"
     return Cause("encoder_resolution", "sprockets", evidence, odds_of(20.0), remedy)

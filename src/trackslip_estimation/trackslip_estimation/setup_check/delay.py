@@ -19,8 +19,6 @@ class Delay(NamedTuple):
 
     value: float  # s
     stddev: float  # s
-    correlation: float  # maximum
-    pieces: int  # with enough turning
 
 
 def correlate_rates(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
@@ -40,26 +38,26 @@ def correlate_rates(first: FloatArray, second: FloatArray, cell: float) -> Delay
     energies = np.zeros((count, 2, len(shifts)))
     for k in range(count):
         at = steps + k * size + np.arange(size)
-        own = a[at] - a[at].mean()
+        reference = a[at] - a[at].mean()
         windows = b[at[:, np.newaxis] + shifts[np.newaxis, :]]
         windows = windows - windows.mean(axis=0)
-        cross[k] = own @ windows
-        energies[k, 0], energies[k, 1] = own @ own, np.sum(windows**2, axis=0)
+        cross[k] = reference @ windows
+        energies[k, 0], energies[k, 1] = reference @ reference, np.sum(windows**2, axis=0)
     total = _correlation_peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
     if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LARGEST_DELAY:  # maximum at an end
         return None
     strong = energies[:, 0, 0] > 0.02 * energies[:, 0, 0].sum()
     if strong.sum() < 2:
         return None
-    left: list[float] = []
+    deviations: list[float] = []
     for k in np.flatnonzero(strong).tolist():
-        rest = np.arange(count) != k
-        found = _correlation_peak(cross[rest].sum(axis=0), energies[rest].sum(axis=0), shifts, cell)
-        if found is not None:
-            left.append(found[0] - total[0])
-    n = len(left)
-    spread = float(np.sqrt((n - 1) / n * np.sum(np.square(left)))) if n > 1 else LARGEST_DELAY
-    return Delay(total[0], max(spread, 0.02), total[1], int(strong.sum()))
+        others = np.arange(count) != k
+        peak = _correlation_peak(cross[others].sum(axis=0), energies[others].sum(axis=0), shifts, cell)
+        if peak is not None:
+            deviations.append(peak[0] - total[0])
+    n = len(deviations)
+    stddev = float(np.sqrt((n - 1) / n * np.sum(np.square(deviations)))) if n > 1 else LARGEST_DELAY
+    return Delay(total[0], max(stddev, 0.02))
 
 
 def _clip_spikes(rates: FloatArray) -> FloatArray:
@@ -81,6 +79,6 @@ def _correlation_peak(
     if k in (0, len(shifts) - 1):
         return float(shifts[k]) * cell, top
     before, after = float(correlation[k - 1]), float(correlation[k + 1])
-    bend = before - 2.0 * top + after
-    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    curvature = before - 2.0 * top + after
+    part = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
     return (float(shifts[k]) + part) * cell, top

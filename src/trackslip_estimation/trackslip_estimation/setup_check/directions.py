@@ -48,8 +48,8 @@ class Directions:
             x, y = fixes.places.T
             fixes = replace(fixes, places=np.column_stack(((y, x), (x, -y), (-x, y))[self.mirror]))
         if compass is not None and self.heading < 0.0:
-            own = compass.headings
-            compass = replace(compass, headings=-own if self.convention else np.pi / 2.0 - own)
+            headings = compass.headings
+            compass = replace(compass, headings=-headings if self.convention else np.pi / 2.0 - headings)
         return Drive.from_sources(log.with_tracks(self.assignment.matrix), gyro, fixes, compass)
 
 
@@ -60,27 +60,27 @@ def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
     mirror, convention = _best_conventions(drive, decision)
     needs = _missing_motion(drive, decision)
     signed = decision.assignment, decision.gyro, decision.is_mirrored, decision.heading
-    found = Directions(*signed, mirror, convention)
+    directions = Directions(*signed, mirror, convention)
     likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     if needs:
-        return replace(found, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
+        return replace(directions, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
     causes = [_sign_cause(name, log, drive, gyro, mirror, convention) for name, log in likely.items()]
     if is_upside_down and signs.GYRO in likely and gyro is not None:
         causes = [c for c in causes if c.cause != signs.GYRO]
         causes.append(inertial.upside_down_cause(gyro, likely[signs.GYRO]))
-    open_ones = []
+    questions = []
     is_open = decision.any_odds > 0.0 and not likely
     if is_open:
         sets = [_decided_causes(decision), *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
-        open_ones.append(OpenQuestion(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
+        questions.append(OpenQuestion(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
     untested = set(decision.untested) if not likely and not is_open else set()
     if untested:
         what = f"{', '.join(sorted(untested))}: neither shown nor excluded"
-        open_ones.append(
+        questions.append(
             OpenQuestion(what, _TURN_REQUEST if untested != {signs.BOTH} else _missing_sensor(evidence))
         )
-    return replace(found, is_decided=not is_open, causes=tuple(causes), undetermined=tuple(open_ones))
+    return replace(directions, is_decided=not is_open, causes=tuple(causes), undetermined=tuple(questions))
 
 
 def _missing_motion(drive: Drive, decision: Decision) -> list[OpenQuestion]:

@@ -36,8 +36,10 @@ class Drive:
         cls, log: Log, gyro: Gyro | None, fixes: Fixes | None, compass: Compass | None
     ) -> "Drive":
         """A drive of the tracks of a log with these sources."""
-        gyros, places = () if gyro is None else (gyro,), () if fixes is None else (fixes,)
-        return cls(replace(log, gyros=gyros, fixes=places, compasses=() if compass is None else (compass,)))
+        gyros, fix_sources = () if gyro is None else (gyro,), () if fixes is None else (fixes,)
+        return cls(
+            replace(log, gyros=gyros, fixes=fix_sources, compasses=() if compass is None else (compass,))
+        )
 
     def with_gyro(self, gyro: Gyro | None) -> "Drive":
         """The drive with another version of the gyro, or none."""
@@ -89,7 +91,7 @@ class Drive:
     def unbiased_turn(self) -> FloatArray:
         """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
         known = np.isfinite(self.turn) & np.isfinite(self.tracks_over_tread).all(axis=1)
-        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known], WINDOW) * WINDOW
+        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known]) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:
@@ -119,7 +121,7 @@ class Drive:
     @cached_property
     def turn_fit(self) -> TurnFit:
         """Fit of the turns of the gyro by the tracks."""
-        return fit_turns(self.turn, self.tracks_over_tread, WINDOW)
+        return fit_turns(self.turn, self.tracks_over_tread)
 
     @cached_property
     def gyro_turn(self) -> FloatArray:
@@ -149,7 +151,7 @@ class Drive:
         A motion: signs of both tracks (2,), whose mean is the distance; turns (m,) of the cells, rad.
         """
         if self.fixes is None:
-            return PathFits(np.zeros(len(motions)), 0, 0.0)
+            return PathFits(np.zeros(len(motions)), 0)
         tracks = self.grid.tracks
         paths = [dead_reckoning(self.grid, tracks @ signs / 2.0, turn) for signs, turn in motions]
         return compare_paths(paths, thin_fixes(self.fixes, _FIX_SPACING))

@@ -19,14 +19,14 @@ _LEAST_COURSES = 3
 
 def gather_evidence(drive: Drive) -> Evidence:
     """All ln likelihoods, those of the gyro at least that of one without turns; zeros for missing sensors."""
-    of_heading, has_gyro = drive.heading_turn, drive.gyro is not None
-    has_heading = int(np.isfinite(of_heading).sum()) >= 3
+    heading_turn, has_gyro = drive.heading_turn, drive.gyro is not None
+    has_heading = int(np.isfinite(heading_turn).sum()) >= 3
     return Evidence(
         np.maximum(drive.turn_fit.logs, -PRIOR) if has_gyro else np.zeros(4),
         _gyro_path_logs(drive),
         _track_path_logs(drive),
         _heading_logs(drive),
-        fit_turns(of_heading, drive.tracks_over_tread, WINDOW).logs
+        fit_turns(heading_turn, drive.tracks_over_tread).logs
         if has_heading and not has_gyro
         else np.zeros(4),
         _course_log_table(drive) if has_heading else np.zeros((len(ASSIGNMENTS), 2, 2)),
@@ -65,30 +65,30 @@ def _track_path_logs(drive: Drive) -> FloatArray:
 
 def _course_log_table(drive: Drive) -> FloatArray:
     """(8, 2, 2) ln likelihood: assignments, map as it is or mirrored, heading as it is or inverted."""
-    found, steps = np.zeros((len(ASSIGNMENTS), 2, 2)), drive.courses
+    table, steps = np.zeros((len(ASSIGNMENTS), 2, 2)), drive.courses
     if len(steps.courses) < _LEAST_COURSES:
-        return found
+        return table
     distances = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
-    of_distance: dict[tuple[float, ...], FloatArray] = {}  # pairs of assignments share one
+    logs_by_distance: dict[tuple[float, ...], FloatArray] = {}  # pairs of assignments share one
     for a, assignment in enumerate(ASSIGNMENTS):
         key = tuple(assignment.distance.tolist())
-        if key not in of_distance:
+        if key not in logs_by_distance:
             reverse = np.where(distances @ assignment.distance < 0.0, np.pi, 0.0)
-            of_distance[key] = _course_logs(steps, reverse)
-        found[a] = of_distance[key]
-    return found
+            logs_by_distance[key] = _course_logs(steps, reverse)
+        table[a] = logs_by_distance[key]
+    return table
 
 
 def _course_logs(steps: Courses, reverse: FloatArray) -> FloatArray:
     """(2, 2) ln likelihood: map as it is or mirrored, heading as it is or inverted."""
-    found = np.zeros((2, 2))
+    logs = np.zeros((2, 2))
     for p, h in itertools.product((0, 1), repeat=2):
-        found[p, h] = max(
+        logs[p, h] = max(
             direction_log(course - heading - reverse)
             for course in course_alternatives(steps, is_mirrored=bool(p))
             for heading in heading_alternatives(steps, is_inverted=bool(h))
         )
-    return found
+    return logs
 
 
 def direction_log(differences: FloatArray) -> float:
@@ -110,10 +110,10 @@ def heading_alternatives(steps: Courses, *, is_inverted: bool) -> list[FloatArra
 
 def forward_shares(tracks: FloatArray) -> FloatArray:
     """(8,) share of the distance that is forward, by each assignment; near one half for a few metres."""
-    known = tracks[np.isfinite(tracks).all(axis=1)]
+    driven = tracks[np.isfinite(tracks).all(axis=1)]
     shares = []
     for assignment in ASSIGNMENTS:
-        distance = known @ assignment.distance / 2.0
+        distance = driven @ assignment.distance / 2.0
         ahead, back = float(distance[distance > 0.0].sum()), float(-distance[distance < 0.0].sum())
         shares.append((ahead + 1.0) / (ahead + back + 2.0))
     return np.array(shares)

@@ -58,20 +58,20 @@ def find_missing_value(values: FloatArray, count: float = 0.0) -> tuple[float, B
         return None
     step = float(np.percentile(change, 5))  # the quantum of a quantised signal
     level = float(np.percentile(np.abs(values[values != 0.0]), 95))
-    found = _find_jumps(
+    jumps = _find_jumps(
         values, max(_QUANTA * step, _LARGE_SHARE * level, _JITTER_COUNTS * count), _RETURN_SHARE, _LONGEST_RUN
     )
-    if found is None or found.where.sum() < _LEAST_SHARE * len(values):
+    if jumps is None or jumps.where.sum() < _LEAST_SHARE * len(values):
         return None
-    least = _LEAST_BEYOND if _is_beyond(values, found) else _LEAST_MISSING
-    return (float(found.value.real), found.where) if found.visits >= least else None
+    least = _LEAST_BEYOND if _is_beyond(values, jumps) else _LEAST_MISSING
+    return (float(jumps.value.real), jumps.where) if jumps.visits >= least else None
 
 
-def _is_beyond(values: FloatArray, found: _Jumps) -> bool:
+def _is_beyond(values: FloatArray, jumps: _Jumps) -> bool:
     """Whether a value lies far outside the range of all others."""
-    others = values[~found.where]
+    others = values[~jumps.where]
     usual = float(np.median(others))
-    return abs(found.value - usual) > _LEAST_DEVIATION * float(np.abs(others - usual).max())
+    return abs(jumps.value - usual) > _LEAST_DEVIATION * float(np.abs(others - usual).max())
 
 
 def _find_jumps(values: FloatArray | ComplexArray, least: float, back: float, longest: int) -> _Jumps | None:
@@ -88,45 +88,58 @@ def _find_jumps(values: FloatArray | ComplexArray, least: float, back: float, lo
     jumps = (size > least) & (np.abs(before - after) < back * size) & (lengths <= longest)
     if not jumps.any():
         return None
-    found, counts = np.unique(heads[jumps], return_counts=True)
-    top = found[np.argmax(counts)]
-    there = jumps & (heads == top)
-    similar = jumps & (size > 0.5 * np.median(size[there]))  # jumps of similar size
-    if there.sum() < 0.5 * similar.sum():
+    candidates, counts = np.unique(heads[jumps], return_counts=True)
+    most_frequent = candidates[np.argmax(counts)]
+    is_most_frequent = jumps & (heads == most_frequent)
+    similar = jumps & (size > 0.5 * np.median(size[is_most_frequent]))  # jumps of similar size
+    if is_most_frequent.sum() < 0.5 * similar.sum():
         return None
-    return _Jumps(top, np.repeat(there, lengths), int(there.sum()))
+    return _Jumps(most_frequent, np.repeat(is_most_frequent, lengths), int(is_most_frequent.sum()))
 
 
 def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
     """The log without missing readings, and the values that mark them."""
-    found: list[MissingValue] = []
+    missing_values: list[MissingValue] = []
     tracks = log.tracks
-    lost = np.zeros(len(tracks.t), np.bool_)
-    count = log.counts.shown / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
+    is_missing = np.zeros(len(tracks.t), np.bool_)
+    count = log.counts.measured / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
         speeds, gaps = tracks.speeds[:, side], _readings_after_gap(tracks.t)
-        lost |= _mark_missing(found, "sprockets", f"{name} speed", speeds, gaps, count)
-    if lost.any():
-        kept = ~lost
-        none = np.full((int(kept.sum()), 2), np.nan)
-        t, speeds = tracks.t[kept], tracks.speeds[kept]
-        log = replace(log, tracks=Tracks(t, speeds, continuous_angles(t, speeds, none)))
+        is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", speeds, gaps, count)
+    if is_missing.any():
+        is_valid = ~is_missing
+        unknown = np.full((int(is_valid.sum()), 2), np.nan)
+        t, speeds = tracks.t[is_valid], tracks.speeds[is_valid]
+        log = replace(log, tracks=Tracks(t, speeds, continuous_angles(t, speeds, unknown)))
     gyros, fixes = [], []
     for gyro in log.gyros:
-        lost = np.zeros(len(gyro.t), np.bool_)
+        is_missing = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
-            lost |= _mark_missing(
-                found, gyro.name, f"rate about {name}", gyro.rates[:, axis], _readings_after_gap(gyro.t)
+            is_missing |= _mark_missing(
+                missing_values,
+                gyro.name,
+                f"rate about {name}",
+                gyro.rates[:, axis],
+                _readings_after_gap(gyro.t),
             )
-        kept = ~lost
+        is_valid = ~is_missing
         gyros.append(
-            replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept])
+            replace(
+                gyro,
+                t=gyro.t[is_valid],
+                rates=gyro.rates[is_valid],
+                accelerations=gyro.accelerations[is_valid],
+            )
         )
-    for one in log.fixes:
-        lost = _mark_missing_fixes(found, one.name, one.places)
-        kept = ~lost
-        fixes.append(replace(one, t=one.t[kept], places=one.places[kept], stddevs=one.stddevs[kept]))
-    return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), found
+    for source in log.fixes:
+        is_missing = _mark_missing_fixes(missing_values, source.name, source.places)
+        is_valid = ~is_missing
+        fixes.append(
+            replace(
+                source, t=source.t[is_valid], places=source.places[is_valid], stddevs=source.stddevs[is_valid]
+            )
+        )
+    return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), missing_values
 
 
 def _readings_after_gap(t: FloatArray) -> BoolArray:
@@ -136,7 +149,7 @@ def _readings_after_gap(t: FloatArray) -> BoolArray:
 
 
 def _mark_missing(
-    found: list[MissingValue],
+    missing_values: list[MissingValue],
     source: str,
     column: str,
     values: FloatArray,
@@ -147,25 +160,25 @@ def _mark_missing(
     if missing is None or after_gap[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
-    found.append(MissingValue(source, column, value, int(where.sum()), float(where.mean())))
+    missing_values.append(MissingValue(source, column, value, int(where.sum()), float(where.mean())))
     return where
 
 
-def _mark_missing_fixes(found: list[MissingValue], source: str, places: FloatArray) -> BoolArray:
+def _mark_missing_fixes(missing_values: list[MissingValue], source: str, places: FloatArray) -> BoolArray:
     """(n,) missing fixes: at one exact place far from others that recurs, or is held at the start or end."""
     nothing = np.zeros(len(places), np.bool_)
     if len(places) < _LEAST_READINGS:
         return nothing
     spread = float(np.median(np.hypot(*(places - np.median(places, axis=0)).T)))
-    one = _find_jumps(places @ np.array((1.0, 1.0j)), max(_FIX_STEP, spread), 1.0, len(places) // 2)
-    if one is None:
+    jumps = _find_jumps(places @ np.array((1.0, 1.0j)), max(_FIX_STEP, spread), 1.0, len(places) // 2)
+    if jumps is None:
         return nothing
-    is_held_first = one.where[:_LEAST_HELD].all() or one.where[-_LEAST_HELD:].all()
-    if one.visits < _LEAST_PLACES and not is_held_first:
+    is_held_at_an_end = jumps.where[:_LEAST_HELD].all() or jumps.where[-_LEAST_HELD:].all()
+    if jumps.visits < _LEAST_PLACES and not is_held_at_an_end:
         return nothing
-    count, share = int(one.where.sum()), float(one.where.mean())
-    found.append(MissingValue(source, "place", float(one.value.real), count, share, 2))
-    return one.where
+    count, share = int(jumps.where.sum()), float(jumps.where.mean())
+    missing_values.append(MissingValue(source, "place", float(jumps.value.real), count, share, 2))
+    return jumps.where
 
 
 def time_factor(t: FloatArray, kind: str) -> float:

@@ -81,13 +81,16 @@ class Result:
     @property
     def open_questions(self) -> tuple[OpenQuestion, ...]:
         """Certain mistakes whose cause is one of several."""
-        return tuple(one for one in self.undetermined if one.is_wrong)
+        return tuple(question for question in self.undetermined if question.is_wrong)
 
     @property
     def headline(self) -> str:
         """One sentence for the first line of a command's output."""
         if not self.causes:
-            return "; ".join(f"{one.what}: {one.needed}" for one in self.open_questions) or "setup plausible"
+            return (
+                "; ".join(f"{question.what}: {question.needed}" for question in self.open_questions)
+                or "setup plausible"
+            )
         return "; ".join(f"{c.cause}: {c.evidence}" for c in self.causes)
 
     def as_dict(self) -> dict[str, Any]:
@@ -95,7 +98,7 @@ class Result:
         return {
             "plausible": self.is_plausible,
             "causes": [cause.as_dict() for cause in self.causes],
-            "undetermined": [one.as_dict() for one in self.undetermined],
+            "undetermined": [question.as_dict() for question in self.undetermined],
         }
 
 

@@ -19,7 +19,7 @@ from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, degrees_of_freedom, segments
 
 _LEAST_SEGMENTS = 3
-_ITERATIONS = 4  # iterations
+_ITERATIONS = 4
 _FEW_SEGMENTS = 3.0  # standard deviations by n segments grow by a share of _FEW_SEGMENTS / (n − 1)
 _LEAST_CORRELATION = 0.95  # of the fixes with the path; below it, errors or slips dominate the scale
 
@@ -28,8 +28,6 @@ class Scales(NamedTuple):
     """Distance by fixes over distance by tracks, of each segment."""
 
     ratios: FloatArray  # (s,) ρ
-    directions: FloatArray  # (s,) φ, rad
-    weights: FloatArray  # (s,) 1/variance
     times: FloatArray  # (s,) s, of the middle
     straight: FloatArray  # (s,) chord over length of the path
     extents: FloatArray  # (s,) m, RMS extent of the path by the tracks
@@ -61,11 +59,9 @@ def segment_scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
     wide &= np.abs(c) * np.sqrt(of_q) > _LEAST_CORRELATION * np.sqrt(of_z)
     if not wide.any():
         return None
-    variances = (fixes.noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
     middle = (fixes.t[begin] + fixes.t[end]) / 2.0
     straight = np.abs(q[end] - q[begin]) / np.maximum(distance, 1e-9)
-    found = (np.abs(c), np.angle(c), 1.0 / variances, middle, straight, extent)
-    return Scales(*(column[wide] for column in found))
+    return Scales(np.abs(c)[wide], middle[wide], straight[wide], extent[wide])
 
 
 class _NormalEquations(NamedTuple):
@@ -99,19 +95,21 @@ def fit_lever(
         return None
     count = float(uu.sum() ** 2 / np.sum(uu**2))  # effective number of turning segments
     without = np.linalg.solve(total - products, (of_z.sum(axis=0) - of_z)[:, :, np.newaxis])[:, :, 0]
-    moved = (without - value) * np.sqrt((len(parts) - 1) / len(parts))
-    stddevs = np.maximum(np.sqrt(np.sum(moved**2, axis=0)), np.sqrt(np.diag(np.linalg.inv(total))))
+    deviations = (without - value) * np.sqrt((len(parts) - 1) / len(parts))
+    stddevs = np.maximum(np.sqrt(np.sum(deviations**2, axis=0)), np.sqrt(np.diag(np.linalg.inv(total))))
     stddevs = stddevs * (1.0 + _FEW_SEGMENTS / max(count - 1.0, 1e-3))
-    none = np.concatenate(((0.0, 0.0), np.linalg.solve(total[2:, 2:], of_z[:, 2:].sum(axis=0))))
-    gains = sums.free * np.log(_residual_squares(sums, none, noise) / _residual_squares(sums, value, noise))
+    without_lever = np.concatenate(((0.0, 0.0), np.linalg.solve(total[2:, 2:], of_z[:, 2:].sum(axis=0))))
+    gains = sums.free * np.log(
+        _residual_squares(sums, without_lever, noise) / _residual_squares(sums, value, noise)
+    )
     gain = float(np.clip(gains, -MOST_LOG, MOST_LOG).sum())
     return Lever(complex(value[0], value[1]), (float(stddevs[0]), float(stddevs[1])), gain, turned)
 
 
 def _residual_squares(sums: _NormalEquations, value: FloatArray, noise: float) -> FloatArray:
     """(s,) residual squares at (4,) values, with those of the noise, m²."""
-    left = sums.zz - 2.0 * sums.of_z @ value + np.einsum("i,sij,j->s", value, sums.products, value)
-    return np.asarray(np.maximum(left, 0.0) + sums.free * noise + 1e-9)
+    squares = sums.zz - 2.0 * sums.of_z @ value + np.einsum("i,sij,j->s", value, sums.products, value)
+    return np.asarray(np.maximum(squares, 0.0) + sums.free * noise + 1e-9)
 
 
 def _normal_equations(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_NormalEquations, float]:
@@ -122,13 +120,13 @@ def _normal_equations(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Norma
     of_q = np.maximum(moments.product(q, q).real, 1e-12)
 
     def product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
-        own = moments.product(a, b) - np.conj(moments.product(q, a)) * moments.product(q, b) / of_q
-        return np.where(of_q > 1e-3, own, 0.0)
+        projected = moments.product(a, b) - np.conj(moments.product(q, a)) * moments.product(q, b) / of_q
+        return np.where(of_q > 1e-3, projected, 0.0)
 
     uu = np.maximum(product(u, u).real, 0.0)
     # direction φ_s: that of the scale, with Δl fitted too
-    own = np.where(uu > 1e-6, product(u, z) / np.maximum(uu, 1e-6), 0.0)
-    c = moments.product(q, z) - moments.product(q, u) * own
+    lever = np.where(uu > 1e-6, product(u, z) / np.maximum(uu, 1e-6), 0.0)
+    c = moments.product(q, z) - moments.product(q, u) * lever
     turn = c / np.maximum(np.abs(c), 1e-12)
     products = np.array([[product(a, b).real for b in columns] for a in columns])
     of_z = np.array([(np.conj(turn) * product(a, z)).real for a in columns])

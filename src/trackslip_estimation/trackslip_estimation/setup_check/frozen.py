@@ -20,21 +20,21 @@ _LEAST_EFFICIENCY = 0.25  # turning efficiency of the tracks, low as on ice
 
 def frozen_cause(drive: Drive, gyro: Gyro) -> Cause | None:
     """The cause if readings stay bit for bit the same while tracks or headings turn differently."""
-    found = (_judge_span(drive, gyro, *span) for span in frozen_spans(gyro))
-    return next((cause for cause in found if cause is not None), None)
+    causes = (_judge_span(drive, gyro, *span) for span in frozen_spans(gyro))
+    return next((cause for cause in causes if cause is not None), None)
 
 
 def _judge_span(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
     grid = drive.grid
     inside = (grid.edges[:-1] >= begin) & (grid.edges[1:] <= end)
     value = float(gyro.rates[np.searchsorted(gyro.t, begin), 2])
-    shown = window_sums(grid, np.where(inside, value * grid.cell, 0.0))
-    apart = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
-    by_tracks = apart / drive.machine.tread
+    gyro_turn = window_sums(grid, np.where(inside, value * grid.cell, 0.0))
+    difference = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
+    by_tracks = difference / drive.machine.tread
     by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
     by_heading = np.where(np.abs(by_heading) <= HEADING_NOISE, 0.0, by_heading)  # nan stays: unknown
-    is_by_heading = _unexplained_turn(by_heading, shown) >= _LEAST_TURN
-    if not is_by_heading and _unexplained_turn(by_tracks, shown) * _LEAST_EFFICIENCY < _LEAST_TURN:
+    is_by_heading = _unexplained_turn(by_heading, gyro_turn) >= _LEAST_TURN
+    if not is_by_heading and _unexplained_turn(by_tracks, gyro_turn) * _LEAST_EFFICIENCY < _LEAST_TURN:
         return None
     also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
     return Cause(
@@ -49,15 +49,15 @@ def _judge_span(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | N
     )
 
 
-def _unexplained_turn(turns: FloatArray, shown: FloatArray) -> float:
-    """Part of the turns (n,), rad, that no multiple of the gyro's turns ``shown`` (n,) explains.
+def _unexplained_turn(turns: FloatArray, gyro_turns: FloatArray) -> float:
+    """Part of the turns (n,), rad, that no multiple of ``gyro_turns`` (n,) explains.
 
     A simulated gyro without noise is constant as long as the machine turns evenly.
     """
-    known = np.isfinite(turns)
-    turns, shown = turns[known], shown[known]
-    scale = float(turns @ shown) / max(float(shown @ shown), 1e-12)
-    return float(min(np.abs(turns).sum(), np.abs(turns - scale * shown).sum()))
+    usable = np.isfinite(turns)
+    turns, gyro_turns = turns[usable], gyro_turns[usable]
+    scale = float(turns @ gyro_turns) / max(float(gyro_turns @ gyro_turns), 1e-12)
+    return float(min(np.abs(turns).sum(), np.abs(turns - scale * gyro_turns).sum()))
 
 
 def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks and gyro on one time grid: increments in each cell, and their sums over windows."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check.log import Gyro, Log
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
 LONGEST_GAP = 1.0  # s between readings; motion in longer gaps is unknown
-_SWINGING = 0.02  # rad/s, swing rate above which a gyro on the upper structure is not used
+_LEAST_SWING_RATE = 0.02  # rad/s, swing rate above which a gyro on the upper structure is not used
 _SWING_MARGIN = 1.0  # s, before and after a swing
 MOST_CELLS = 400_000  # eleven hours; longer logs have longer cells
 
@@ -31,17 +31,10 @@ class Grid:
         """Length of a cell, s."""
         return float(self.edges[1] - self.edges[0])
 
-    def with_tracks(self, matrix: FloatArray) -> "Grid":
-        """The grid with (2, 2) ``matrix`` applied to the tracks."""
-        return replace(self, tracks=self.tracks @ matrix.T)
 
-
-def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0, 0.0)) -> Grid | None:
-    """Grid from the first to the last reading of the tracks; None where there are hardly any.
-
-    ``delays``: of tracks and gyro, s, taken off their stamps.
-    """
-    t = log.tracks.t - delays[0]
+def make_grid(log: Log, gyro: Gyro | None) -> Grid | None:
+    """Grid from the first to the last reading of the tracks; None where there are hardly any."""
+    t = log.tracks.t
     if len(t) < 3 or t[-1] - t[0] < 2.0 * WINDOW:
         return None
     cells = max(int((t[-1] - t[0]) / CELL), 1)
@@ -50,9 +43,8 @@ def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0
     tracks = log.machine.radius * increments(t, log.tracks.angles, edges)
     turns = np.full((len(edges) - 1, 3), np.nan)
     if gyro is not None and len(gyro.t) > 2:
-        at = gyro.t - delays[1]
-        turns = increments(at, integral(at, gyro.rates), edges)
-        turns[~covered_cells(at, edges)] = np.nan
+        turns = increments(gyro.t, integral(gyro.t, gyro.rates), edges)
+        turns[~covered_cells(gyro.t, edges)] = np.nan
         if gyro.is_above and log.swing is not None and len(log.swing[0]) > 2:
             turns[_swinging_cells(log.swing, edges)] = np.nan
     return Grid(edges, tracks, turns, covered_cells(t, edges))
@@ -63,7 +55,7 @@ def _swinging_cells(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> 
     angle, middle = np.unwrap(swing[1]), (edges[1:] + edges[:-1]) / 2.0
     after = np.interp(middle + _SWING_MARGIN, swing[0], angle)
     before = np.interp(middle - _SWING_MARGIN, swing[0], angle)
-    return np.asarray(np.abs(after - before) > 2.0 * _SWING_MARGIN * _SWINGING)
+    return np.asarray(np.abs(after - before) > 2.0 * _SWING_MARGIN * _LEAST_SWING_RATE)
 
 
 def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
@@ -89,21 +81,21 @@ def covered_cells(t: FloatArray, edges: FloatArray) -> BoolArray:
     """(m,) whether readings cover each cell without a gap."""
     after = np.clip(np.searchsorted(t, edges[1:]), 1, len(t) - 1)
     before = np.clip(np.searchsorted(t, edges[:-1], side="right") - 1, 0, len(t) - 2)
-    found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (
+    is_covered: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (
         edges[:-1] >= t[0] - 1e-9
     )
-    return np.asarray(found & (edges[1:] <= t[-1] + 1e-9))
+    return np.asarray(is_covered & (edges[1:] <= t[-1] + 1e-9))
 
 
-def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> FloatArray:
-    """(w, …) sums of (m, …) values over windows of ``length`` s."""
-    size = max(round(length / grid.cell), 1)
+def window_sums(grid: Grid, values: FloatArray) -> FloatArray:
+    """(w, …) sums of (m, …) values over windows of ``WINDOW`` s."""
+    size = max(round(WINDOW / grid.cell), 1)
     count = len(values) // size
     shaped = values[: count * size].reshape(count, size, *values.shape[1:])
     return np.asarray(shaped.sum(axis=1))
 
 
-def window_edges(grid: Grid, length: float = WINDOW) -> FloatArray:
+def window_edges(grid: Grid) -> FloatArray:
     """(w + 1,) edges of the windows, s."""
-    size = max(round(length / grid.cell), 1)
+    size = max(round(WINDOW / grid.cell), 1)
     return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]

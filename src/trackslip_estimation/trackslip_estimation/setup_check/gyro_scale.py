@@ -20,7 +20,7 @@ from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
 
 _SCALES = (np.geomspace(0.42, 1 / 0.42, 19), np.geomspace(0.08, 1 / 0.08, 53))  # near ones first
-_SOUND_LOG_SCALE = np.log(1.11)  # largest magnitude of the ln scale of a sound gyro
+_MOST_LOG_SCALE = np.log(1.11)  # largest magnitude of the ln scale of a gyro without a fault
 _LEAST_SEGMENTS = 3  # of the path
 
 
@@ -38,14 +38,14 @@ def judge_scale(drive: Drive, unit: float, lever: Lever | None) -> Cause | None:
 
 def _judge_scales(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: float) -> Cause | None:
     bias = drive.turn_fit.bias
-    both = {
+    logs_by_reference = {
         "its headings": heading_logs(drive, scales, bias)[:, 0],
         "the path of the fixes": path_logs(drive, scales, bias, [(np.ones(2), 1.0)])[:, 0],
     }
-    references = {name: logs for name, logs in both.items() if logs.any()}
+    references = {name: logs for name, logs in logs_by_reference.items() if logs.any()}
     if not references:
         return None
-    is_right = np.abs(np.log(scales)) <= _SOUND_LOG_SCALE
+    is_right = np.abs(np.log(scales)) <= _MOST_LOG_SCALE
     total = np.sum(list(references.values()), axis=0)
     best = int(np.argmax(total))
     gain = float(total[best] - total[is_right].max())
@@ -54,9 +54,9 @@ def _judge_scales(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_
     turns = count_turns((drive.turn - bias * WINDOW) / scales[best])
     if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in references.values()):
         return None
-    shown = unit * float(scales[best])
-    evidence = f"the gyro shows {shown:.2g} times what the machine turns by {' and '.join(references)}"
-    return Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, shown))
+    scale = unit * float(scales[best])
+    evidence = f"the gyro shows {scale:.2g} times what the machine turns by {' and '.join(references)}"
+    return Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, scale))
 
 
 def heading_logs(drive: Drive, scales: FloatArray, bias: float) -> FloatArray:
@@ -73,6 +73,6 @@ def path_logs(
     ``signs``: k pairs, of both tracks (2,) and of the gyro.
     """
     turn = drive.grid.turns[:, 2] - bias * drive.grid.cell
-    shapes = drive.path_fits([(tracks, sign * turn / scale) for scale in scales for tracks, sign in signs])
-    logs = shapes.logs.reshape(len(scales), len(signs))
-    return logs if shapes.segments >= _LEAST_SEGMENTS else np.zeros_like(logs)
+    fits = drive.path_fits([(tracks, sign * turn / scale) for scale in scales for tracks, sign in signs])
+    logs = fits.logs.reshape(len(scales), len(signs))
+    return logs if fits.segments >= _LEAST_SEGMENTS else np.zeros_like(logs)

@@ -40,13 +40,13 @@ class Courses(NamedTuple):
 
 def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
     """(n,) headings at times t, rad; nan where no heading is near."""
-    sound = np.isfinite(compass.headings)
-    known, headings = compass.t[sound], np.unwrap(compass.headings[sound])
-    if len(known) < 2:
+    is_finite = np.isfinite(compass.headings)
+    times, headings = compass.t[is_finite], np.unwrap(compass.headings[is_finite])
+    if len(times) < 2:
         return np.full(len(t), np.nan)
-    after = np.clip(np.searchsorted(known, t), 1, len(known) - 1)
-    near = (known[after] - known[after - 1] <= 2.0 * LONGEST_GAP) & (t >= known[0]) & (t <= known[-1])
-    return np.where(near, np.interp(t, known, headings), np.nan)
+    after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+    near = (times[after] - times[after - 1] <= 2.0 * LONGEST_GAP) & (t >= times[0]) & (t <= times[-1])
+    return np.where(near, np.interp(t, times, headings), np.nan)
 
 
 def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
@@ -56,8 +56,8 @@ def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
     after = np.clip(np.searchsorted(fixes.t, t), 1, len(fixes.t) - 1)
     near = (fixes.t[after] - fixes.t[after - 1] <= 2.0 * LONGEST_GAP + 1e-3) & (t >= fixes.t[0])
     near &= t <= fixes.t[-1]
-    found = np.column_stack([np.interp(t, fixes.t, column) for column in fixes.places.T])
-    return np.where(near[:, np.newaxis], found, np.nan)
+    places = np.column_stack([np.interp(t, fixes.t, column) for column in fixes.places.T])
+    return np.where(near[:, np.newaxis], places, np.nan)
 
 
 def window_displacements(fixes: Fixes, grid: Grid) -> FloatArray:
@@ -65,22 +65,22 @@ def window_displacements(fixes: Fixes, grid: Grid) -> FloatArray:
     return np.diff(place_at(fixes, window_edges(grid)), axis=0)
 
 
-def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
+def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArray:
     """(3,) ln likelihood: headings turn with the machine, against it, independently; (w,) rad in windows.
 
     Zeros where fewer than three windows show both.
     """
-    usable = np.isfinite(of_heading) & np.isfinite(of_machine)
-    y, x = of_heading[usable], of_machine[usable]
+    usable = np.isfinite(heading_turns) & np.isfinite(machine_turns)
+    y, x = heading_turns[usable], machine_turns[usable]
     if len(y) < _LEAST_WINDOWS:
         return np.zeros(3)
     variance = _HEADING_NOISE**2 + (_TURN_SHARE * x) ** 2
     width = 2.0 * max(float(np.abs(y).max()), 1.0)
-    itself = np.full(len(y), _HEADING_NOISE**2 + float(np.mean(y**2)))
+    independent_variance = np.full(len(y), _HEADING_NOISE**2 + float(np.mean(y**2)))
     logs = (
         log_mixture_density(y - x, variance, width),
         log_mixture_density(y + x, variance, width),
-        log_mixture_density(y, itself, width),
+        log_mixture_density(y, independent_variance, width),
     )
     return np.asarray(np.sum(logs, axis=1))
 
@@ -102,8 +102,10 @@ def course_logs(differences: FloatArray) -> FloatArray:
     width = 2.0 * np.pi
     logs = []
     for middle in (0.0, np.pi):
-        rest = wrap_angles(differences - middle)
-        logs.append(float(log_mixture_density(rest, np.full(len(rest), _COURSE_STDDEV**2), width).sum()))
+        residuals = wrap_angles(differences - middle)
+        logs.append(
+            float(log_mixture_density(residuals, np.full(len(residuals), _COURSE_STDDEV**2), width).sum())
+        )
     return np.array(logs)
 
 
@@ -112,18 +114,22 @@ def any_direction_log(differences: FloatArray) -> float:
     if not len(differences):
         return 0.0
     middle = mean_direction(differences)
-    rest = wrap_angles(differences - middle)
-    fitted = float(log_mixture_density(rest, np.full(len(rest), _COURSE_STDDEV**2), 2.0 * np.pi).sum())
-    return fitted - float(np.log(2.0 * np.pi * np.sqrt(len(rest)) / _COURSE_STDDEV / np.sqrt(2.0 * np.pi)))
+    residuals = wrap_angles(differences - middle)
+    fitted = float(
+        log_mixture_density(residuals, np.full(len(residuals), _COURSE_STDDEV**2), 2.0 * np.pi).sum()
+    )
+    return fitted - float(
+        np.log(2.0 * np.pi * np.sqrt(len(residuals)) / _COURSE_STDDEV / np.sqrt(2.0 * np.pi))
+    )
 
 
 def mean_direction(angles: FloatArray) -> float:
     """Robust mean of directions, rad: that around which most lie."""
     middle = float(np.angle(np.mean(np.exp(1j * angles))))
     for _ in range(5):
-        rest = wrap_angles(angles - middle)
-        usual = np.abs(rest) < 1.0
-        middle += float(np.median(rest[usual])) if usual.any() else 0.0
+        residuals = wrap_angles(angles - middle)
+        usual = np.abs(residuals) < 1.0
+        middle += float(np.median(residuals[usual])) if usual.any() else 0.0
     return float(wrap_angles(np.array((middle,)))[0])
 
 
@@ -132,33 +138,39 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def heading_unit(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
+def heading_unit(compass: Compass, t: FloatArray, gyro_angles: FloatArray) -> tuple[float, float]:
     """Factor 57.3 or 1/57.3 of headings in a wrong unit, else 1; its ln likelihood ratio over the right unit.
 
-    By differences of successive headings, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
+    By differences of successive headings, modulo a turn; ``gyro_angles`` (n,) rad, at times ``t`` (n,).
     """
-    sound = np.isfinite(compass.headings)
-    known, headings = compass.t[sound], compass.headings[sound]
+    is_finite = np.isfinite(compass.headings)
+    times, headings = compass.t[is_finite], compass.headings[is_finite]
     steps = wrap_angles(np.diff(headings))
-    own = np.diff(np.interp(known, t, turned))
-    fine = (np.diff(known) < LONGEST_GAP) & (np.abs(own) > _LEAST_STEP_TURN) & (np.abs(own) < _MOST_STEP_TURN)
-    fine &= (known[1:] <= t[-1]) & (known[:-1] >= t[0])
-    if fine.sum() < _LEAST_STEPS:
+    gyro_steps = np.diff(np.interp(times, t, gyro_angles))
+    is_usable = (
+        (np.diff(times) < LONGEST_GAP)
+        & (np.abs(gyro_steps) > _LEAST_STEP_TURN)
+        & (np.abs(gyro_steps) < _MOST_STEP_TURN)
+    )
+    is_usable &= (times[1:] <= t[-1]) & (times[:-1] >= t[0])
+    if is_usable.sum() < _LEAST_STEPS:
         return 1.0, 0.0
     logs = {}
     for factor in (1.0, -1.0, _DEGREES, -_DEGREES, 1.0 / _DEGREES, -1.0 / _DEGREES):
-        variance = _STEP_NOISE**2 + (factor * (0.002 + 0.05 * own[fine])) ** 2
+        variance = _STEP_NOISE**2 + (factor * (0.002 + 0.05 * gyro_steps[is_usable])) ** 2
         logs[factor] = float(
-            log_mixture_density(wrap_angles(steps[fine] - factor * own[fine]), variance, 2.0 * np.pi).sum()
+            log_mixture_density(
+                wrap_angles(steps[is_usable] - factor * gyro_steps[is_usable]), variance, 2.0 * np.pi
+            ).sum()
         )
     best = max(logs, key=lambda factor: logs[factor])
-    if abs(best) < 1.0 and not _is_correlated(np.unwrap(headings), best * np.interp(known, t, turned)):
+    if abs(best) < 1.0 and not _is_correlated(np.unwrap(headings), best * np.interp(times, t, gyro_angles)):
         return 1.0, 0.0
     return abs(best), logs[best] - max(logs[1.0], logs[-1.0])
 
 
-def _is_correlated(headings: FloatArray, turned: FloatArray) -> bool:
+def _is_correlated(headings: FloatArray, gyro_angles: FloatArray) -> bool:
     """Whether small changes of headings follow the turn; those of constant headings do not."""
-    y, x = headings - headings.mean(), turned - turned.mean()
+    y, x = headings - headings.mean(), gyro_angles - gyro_angles.mean()
     of_x, of_y, both = float(x @ x), float(y @ y), float(x @ y)
     return both > _CORRELATION * np.sqrt(of_x * of_y) and 0.5 < both / max(of_x, 1e-12) < 2.0

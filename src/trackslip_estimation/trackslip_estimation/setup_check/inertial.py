@@ -42,7 +42,7 @@ UNITS = {  # reading per rad/s, by true and declared unit
     "mdeg/s, declared deg/s": 1e3,
 }
 EFFICIENCY = (0.08, 1.5)  # turn by the gyro over turn by the tracks, of any machine on any ground
-_USUAL_EFFICIENCY = 0.6  # usual efficiency
+_USUAL_EFFICIENCY = 0.6
 _LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; a larger one is a wrong unit
 _LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
@@ -82,14 +82,14 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
         return GyroResult(drive.with_gyro(None), (frozen,))
     gyro, axis_cause = _find_vertical_axis(drive, gyro, gravity)
     drive = drive.with_gyro(gyro)
-    factor, unit_cause, open_ones = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
+    factor, unit_cause, questions = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
     causes = tuple(cause for cause in (axis_cause, unit_cause) if cause is not None)
     gyro = replace(gyro, rates=gyro.rates / factor)
     drive = drive.with_gyro(gyro)
     turn, tracks = drive.turn, drive.tracks_over_tread
-    scale, share = turn_scale(turn, tracks, WINDOW), turn_ratio(turn, tracks)
-    if scale > EFFICIENCY[1] or share > _MOST_TURN:
-        times = f"{max(np.nan_to_num(scale), share):.3g} times as much as"
+    scale, ratio = turn_scale(turn, tracks), turn_ratio(turn, tracks)
+    if scale > EFFICIENCY[1] or ratio > _MOST_TURN:
+        times = f"{max(np.nan_to_num(scale), ratio):.3g} times as much as"
         also = _confirming_odometer(drive, scale) if is_unit_known else ""
         if also:
             what = f"machine that turns {times} its tracks, by gyro and {also}: the tread is too large"
@@ -99,20 +99,20 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
         else:
             what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
             needed = "turn left and right by 90° once each, with fixes"
-        open_ones.append(OpenQuestion(what, needed, is_wrong=True))
-        return GyroResult(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
-    swings = gyro.is_above and drive.log.swing is None
+        questions.append(OpenQuestion(what, needed, is_wrong=True))
+        return GyroResult(drive.with_gyro(None), causes, tuple(questions), is_contradicted=not is_unit_known)
+    is_swing_unknown = gyro.is_above and drive.log.swing is None
     if (
         unit_cause is None
-        and not swings
+        and not is_swing_unknown
         and frozen_share(gyro) < _MOST_FROZEN_SHARE
         and _is_unit_confirmed(drive)
     ):
         bias_cause = _judge_bias(drive, gyro)
         causes += () if bias_cause is None else (bias_cause,)
     has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
-    down = gravity is not None and gravity[2] < -0.8 and has_rates
-    return GyroResult(drive, causes, tuple(open_ones), factor, down)
+    is_upside_down = gravity is not None and gravity[2] < -0.8 and has_rates
+    return GyroResult(drive, causes, tuple(questions), factor, is_upside_down)
 
 
 def _confirming_odometer(drive: Drive, scale: float) -> str:
@@ -126,16 +126,16 @@ def _confirming_odometer(drive: Drive, scale: float) -> str:
 
 def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     """(3,) unit vector of the specific force at standstill, or of the whole log; None: unknown."""
-    sound = np.isfinite(gyro.accelerations).all(axis=1)
-    if sound.sum() < 10:
+    is_finite = np.isfinite(gyro.accelerations).all(axis=1)
+    if is_finite.sum() < 10:
         return None
     still = standstill_windows(drive.tracks_over_tread)
     edges = window_edges(drive.grid)
     window = np.searchsorted(edges, gyro.t, side="right") - 1
-    inside = sound & (window >= 0) & (window < len(still))
+    inside = is_finite & (window >= 0) & (window < len(still))
     at_rest = inside.copy()
     at_rest[inside] = still[window[inside]]
-    chosen = at_rest if at_rest.sum() >= 10 else sound
+    chosen = at_rest if at_rest.sum() >= 10 else is_finite
     force = np.median(gyro.accelerations[chosen], axis=0)
     size = float(np.linalg.norm(force))
     return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
@@ -148,21 +148,21 @@ def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) ->
     axis must turn by more than the machine tilts: on a hill, pitch is correlated with the tracks too.
     """
     turns, x = window_sums(drive.grid, drive.grid.turns), drive.tracks_over_tread
-    found = _axis_gains(turns, x, drive.heading_turn)
-    best = int(np.argmax(found.gains))
-    is_known = np.isfinite(found.gains).any() and frozen_share(gyro) <= _MOST_FROZEN_SHARE
-    if not is_known or best == 2 or found.by_tracks[2] > _LEAST_GAIN:
+    axes = _axis_gains(turns, x, drive.heading_turn)
+    best = int(np.argmax(axes.gains))
+    is_known = np.isfinite(axes.gains).any() and frozen_share(gyro) <= _MOST_FROZEN_SHARE
+    if not is_known or best == 2 or axes.by_tracks[2] > _LEAST_GAIN:
         return gyro, None
-    upright = None if gravity is None else int(np.argmax(np.abs(gravity)))
-    if gravity is not None and upright in (0, 1) and np.isfinite(turns[:, upright]).sum() >= _LEAST_AXIS:
-        log_ratio = max(float(found.gains[upright] - max(found.gains[2], 0.0)), 0.0) + _AXIS_GAIN
+    vertical = None if gravity is None else int(np.argmax(np.abs(gravity)))
+    if gravity is not None and vertical in (0, 1) and np.isfinite(turns[:, vertical]).sum() >= _LEAST_AXIS:
+        log_ratio = max(float(axes.gains[vertical] - max(axes.gains[2], 0.0)), 0.0) + _AXIS_GAIN
         evidence = (
-            f"gravity lies along its {_AXES[upright]} axis, and it does not turn about z as the tracks do"
+            f"gravity lies along its {_AXES[vertical]} axis, and it does not turn about z as the tracks do"
         )
-        fix = rotation_to_vertical(upright, float(np.sign(gravity[upright])))
-        return _remount(gyro, fix, "imu_mounting", evidence, log_ratio)
-    log_ratio = float(found.gains[best] - max(found.gains[2], 0.0))
-    spans = [_heading_range(turns[:, axis] / found.units[best], x) for axis in (best, 2)]
+        correction = rotation_to_vertical(vertical, float(np.sign(gravity[vertical])))
+        return _remount(gyro, correction, "imu_mounting", evidence, log_ratio)
+    log_ratio = float(axes.gains[best] - max(axes.gains[2], 0.0))
+    spans = [_heading_range(turns[:, axis] / axes.units[best], x) for axis in (best, 2)]
     most = _MOST_TILT if gravity is None else min(2.0 * _tilt_range(gyro) + _TILT_NOISE, _MOST_TILT)
     if log_ratio < _AXIS_GAIN or spans[0] < most or spans[1] > min(most, 0.5 * spans[0]):
         return gyro, None
@@ -178,39 +178,45 @@ class _AxisGains(NamedTuple):
     units: FloatArray  # (3,) readings per rad/s
 
 
-def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray) -> _AxisGains:
+def _axis_gains(turns: FloatArray, x: FloatArray, heading_turn: FloatArray) -> _AxisGains:
     """Evidence for each axis, of turns (w, 3) in windows."""
-    found = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
+    axes = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
     for axis in range(3):
-        scale = turn_scale(turns[:, axis], x, WINDOW)
+        scale = turn_scale(turns[:, axis], x)
         if np.isfinite(turns[:, axis]).sum() < _LEAST_AXIS or not scale > 0.0:
             continue
-        found.units[axis] = max(_fitting_unit(scale)[1], 1.0)  # a small turn is a tilt, no other unit
-        found.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, found.units[axis]).logs.max()
-        by_heading = turn_logs(of_heading, turns[:, axis] / found.units[axis])
-        found.gains[axis] = found.by_tracks[axis] + max(by_heading[:2].max() - by_heading[2], 0.0)
-    return found
+        axes.units[axis] = max(_fitting_unit(scale)[1], 1.0)  # a small turn is a tilt, no other unit
+        axes.by_tracks[axis] = fit_turns(turns[:, axis], x, axes.units[axis]).logs.max()
+        by_heading = turn_logs(heading_turn, turns[:, axis] / axes.units[axis])
+        axes.gains[axis] = axes.by_tracks[axis] + max(by_heading[:2].max() - by_heading[2], 0.0)
+    return axes
 
 
-def _remount(gyro: Gyro, fix: FloatArray, name: str, evidence: str, log_ratio: float) -> tuple[Gyro, Cause]:
-    """The gyro with ``fix`` (3, 3) applied, and the cause."""
-    turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
-    return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
+def _remount(
+    gyro: Gyro, correction: FloatArray, name: str, evidence: str, log_ratio: float
+) -> tuple[Gyro, Cause]:
+    """The gyro with ``correction`` (3, 3) applied, and the cause."""
+    remounted = replace(
+        gyro, rates=gyro.rates @ correction.T, accelerations=gyro.accelerations @ correction.T
+    )
+    return remounted, Cause(
+        name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, correction)
+    )
 
 
 def _heading_range(turn: FloatArray, x: FloatArray) -> float:
     """Range of the heading by turns (w,) in windows, less their bias, rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y = turn[usable] - median_bias(turn[usable], x[usable], WINDOW) * WINDOW
+    y = turn[usable] - median_bias(turn[usable], x[usable]) * WINDOW
     return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
 
 
 def _tilt_range(gyro: Gyro) -> float:
     """Twice the largest tilt of gravity from its median direction, rad: the range of roll and pitch."""
-    sound = np.isfinite(gyro.accelerations).all(axis=1)
-    of_second = (gyro.t[sound] - gyro.t[0]).astype(np.int64)
-    begins = np.flatnonzero(np.diff(of_second, prepend=-1))
-    parts = np.split(gyro.accelerations[sound], begins[1:])
+    is_finite = np.isfinite(gyro.accelerations).all(axis=1)
+    seconds = (gyro.t[is_finite] - gyro.t[0]).astype(np.int64)
+    begins = np.flatnonzero(np.diff(seconds, prepend=-1))
+    parts = np.split(gyro.accelerations[is_finite], begins[1:])
     means = np.array([np.median(part, axis=0) for part in parts])
     means /= np.linalg.norm(means, axis=1)[:, np.newaxis]
     usual = np.median(means, axis=0)
@@ -222,7 +228,7 @@ def turn_ratio(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the gyro over the largest turn that tracks of any signs explain; 0 for half a turn or less."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
-    y = np.abs(y - median_bias(y, x, WINDOW) * WINDOW)
+    y = np.abs(y - median_bias(y, x) * WINDOW)
     most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
     total = float(y.sum())
     return total / (float(most.sum()) + 0.5) if total > np.pi else 0.0
@@ -247,8 +253,8 @@ def _fitting_unit(scale: float, by_heading: float | None = None) -> tuple[str, f
     fitting = {name: one for name, one in units.items() if _is_usual(scale / one)}
     if by_heading is None and "" in fitting:
         return "", 1.0
-    requested = scale / _USUAL_EFFICIENCY if by_heading is None else by_heading
-    name, factor = min(fitting.items(), key=lambda item: abs(np.log(requested / item[1])), default=("", 1.0))
+    reference = scale / _USUAL_EFFICIENCY if by_heading is None else by_heading
+    name, factor = min(fitting.items(), key=lambda item: abs(np.log(reference / item[1])), default=("", 1.0))
     is_none = by_heading is not None and abs(np.log(by_heading / factor)) > _UNIT_ERROR
     if by_heading is not None and is_none and _is_usual(scale / by_heading):
         return f"a scale of {by_heading:.3g}", by_heading
@@ -268,11 +274,11 @@ def _judge_unit(
     unit, unless the distance of the fixes shows theirs, or no machine turns as fast as the gyro.
     """
     turn, x = drive.turn, drive.tracks_over_tread
-    scale = turn_scale(turn, x, WINDOW)
+    scale = turn_scale(turn, x)
     name, factor = _fitting_unit(scale, _scale_by_heading(drive))
     if factor == 1.0:
         return 1.0, None, []
-    gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
+    gain = float(fit_turns(turn, x, factor).logs.max())
     if count_turns(turn / factor) < LEAST_TURNS:
         return 1.0, None, []
     log_ratio = _unit_log_ratio(drive, factor)
@@ -320,20 +326,20 @@ def _scale_by_heading(drive: Drive) -> float | None:
 
 def _is_unit_confirmed(drive: Drive) -> bool:
     """Whether turns of tracks or headings confirm the unit of the gyro."""
-    of_heading = _scale_by_heading(drive)
-    if of_heading is not None and 0.6 < of_heading < 1.6:
+    scale_by_heading = _scale_by_heading(drive)
+    if scale_by_heading is not None and 0.6 < scale_by_heading < 1.6:
         return True
-    scale = turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
+    scale = turn_scale(drive.turn, drive.tracks_over_tread)
     return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and count_turns(drive.turn) >= LEAST_TURNS
 
 
 def _judge_bias(drive: Drive, gyro: Gyro) -> Cause | None:
     """The cause if the bias is large: at standstill and in motion, or against the turn of the headings."""
-    found = _standstill_bias(drive.turn, drive.tracks_over_tread)
-    found = found or _bias_by_heading(drive.turn, drive.heading_turn)
-    if found is None:
+    result = _standstill_bias(drive.turn, drive.tracks_over_tread)
+    result = result or _bias_by_heading(drive.turn, drive.heading_turn)
+    if result is None:
         return None
-    bias, log_ratio, evidence = found
+    bias, log_ratio, evidence = result
     remedy = (
         "Let the unit find its bias at standstill, or subtract it: in the "
         f"mapping 'origin: {bias:.5g}' (rad/s) at "
@@ -349,15 +355,15 @@ def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str
     still = standstill_windows(x)
     if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
         return None
-    bias = median_bias(y, x, WINDOW)
+    bias = median_bias(y, x)
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
     if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or spread > 0.5 * abs(bias):
         return None
-    fit = fit_turns(y, x, WINDOW)
+    fit = fit_turns(y, x)
     best = int(np.argmax(fit.logs))
-    rest = y[~still] - float(fit.efficiencies[best]) * (x[~still] @ PATTERNS[best])
+    residuals = y[~still] - float(fit.efficiencies[best]) * (x[~still] @ PATTERNS[best])
     variance = 0.05**2 + 0.02 * np.sum(x[~still] ** 2, axis=1)
-    logs = [float(log_mixture_density(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
+    logs = [float(log_mixture_density(residuals - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
     if logs[0] < logs[1]:
         return None
     evidence = (
@@ -367,23 +373,23 @@ def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str
     return bias, logs[0] - logs[1] + 2.0 * float(still.sum()), evidence
 
 
-def _bias_by_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, float, str] | None:
-    usable = np.isfinite(turn) & np.isfinite(of_heading)
+def _bias_by_heading(turn: FloatArray, heading_turn: FloatArray) -> tuple[float, float, str] | None:
+    usable = np.isfinite(turn) & np.isfinite(heading_turn)
     if usable.sum() < _LEAST_COMPARED:
         return None
-    more = (turn - of_heading)[usable] / WINDOW
-    bias = float(np.median(more))
-    stddev = 1.25 * 1.4826 * float(np.median(np.abs(more - bias))) / float(np.sqrt(len(more))) + 1e-4
+    excess = (turn - heading_turn)[usable] / WINDOW
+    bias = float(np.median(excess))
+    stddev = 1.25 * 1.4826 * float(np.median(np.abs(excess - bias))) / float(np.sqrt(len(excess))) + 1e-4
     if (
         abs(bias) - 3.0 * stddev < _LARGE_BIAS
         or abs(bias) > _LARGEST_BIAS
-        or (np.sign(more) == np.sign(bias)).mean() < 0.8
+        or (np.sign(excess) == np.sign(bias)).mean() < 0.8
     ):
         return None
     return (
         bias,
         0.5 * (bias / stddev) ** 2,
-        f"more than the headings turn, in {len(more)} pieces of {WINDOW:g} s",
+        f"more than the headings turn, in {len(excess)} pieces of {WINDOW:g} s",
     )
 
 

@@ -29,7 +29,7 @@ class Machine(NamedTuple):
 class Counts(NamedTuple):
     """Angle of one count of the sprocket encoders, rad; 0: no counts."""
 
-    shown: float = 0.0  # by positions or speeds
+    measured: float = 0.0  # by positions or speeds
     stated: float = 0.0
 
 
@@ -109,14 +109,13 @@ class Log:
     fixes: tuple[Fixes, ...] = ()
     compasses: tuple[Compass, ...] = ()
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
-    left_out: dict[str, int] = field(default_factory=dict)  # topic → number of invalid readings
     counts: Counts = Counts()
     per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
 
     def with_tracks(self, matrix: FloatArray) -> "Log":
         """The log with (2, 2) ``matrix`` applied to left and right."""
-        own = self.tracks
-        return replace(self, tracks=Tracks(own.t, own.speeds @ matrix.T, own.angles @ matrix.T))
+        tracks = self.tracks
+        return replace(self, tracks=Tracks(tracks.t, tracks.speeds @ matrix.T, tracks.angles @ matrix.T))
 
     def with_gyro(self, gyro: Gyro) -> "Log":
         """The log with another version of one gyro."""

@@ -55,7 +55,6 @@ class PathFits(NamedTuple):
 
     logs: FloatArray  # (p,) ln likelihood ratio over the worst path
     segments: int  # number of those that distinguish some of the paths
-    length: float  # of the segments, s
 
 
 def dead_reckoning(grid: Grid, distance: FloatArray, turn: FloatArray) -> Path:
@@ -70,13 +69,13 @@ def dead_reckoning(grid: Grid, distance: FloatArray, turn: FloatArray) -> Path:
 
 def thin_fixes(fixes: Fixes, spacing: float) -> Fixes:
     """Fixes at least ``spacing`` s apart, with finite places."""
-    kept, last = [], -np.inf
-    sound: BoolArray = np.asarray(np.isfinite(fixes.places).all(axis=1))
-    for k, when in enumerate(fixes.t.tolist()):
-        if sound[k] and when - last >= spacing:
-            kept.append(k)
-            last = when
-    index = np.array(kept, dtype=np.int64)
+    indices, last = [], -np.inf
+    is_finite: BoolArray = np.asarray(np.isfinite(fixes.places).all(axis=1))
+    for k, time in enumerate(fixes.t.tolist()):
+        if is_finite[k] and time - last >= spacing:
+            indices.append(k)
+            last = time
+    index = np.array(indices, dtype=np.int64)
     return replace(fixes, t=fixes.t[index], places=fixes.places[index], stddevs=fixes.stddevs[index])
 
 
@@ -89,8 +88,8 @@ def with_measured_noise(fixes: Fixes) -> Fixes:
     steps = np.diff(thin.places, axis=0)[np.diff(thin.t) < 1.5 * _SPACING]
     if len(steps) < _LEAST_STEPS:
         return fixes
-    shown = 1.4826 * float(np.median(np.abs(np.diff(steps, axis=0)))) / float(np.sqrt(6.0))
-    return replace(fixes, stddevs=np.minimum(fixes.stddevs, np.maximum(shown, 0.1 * fixes.stddevs)))
+    measured = 1.4826 * float(np.median(np.abs(np.diff(steps, axis=0)))) / float(np.sqrt(6.0))
+    return replace(fixes, stddevs=np.minimum(fixes.stddevs, np.maximum(measured, 0.1 * fixes.stddevs)))
 
 
 def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> IntArray:
@@ -101,7 +100,7 @@ def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> In
     t = fixes.t
     unknown = np.concatenate(([0], np.cumsum(~path.is_known)))
     most = LONGEST_GAP / (path.edges[1] - path.edges[0])
-    found, first = [], 0
+    parts, first = [], 0
     breaks = np.append(np.diff(t) > _LONGEST_OUTAGE, True)
     while first < len(t):
         stop = int(np.searchsorted(t, t[first] + length, side="right"))
@@ -110,9 +109,9 @@ def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> In
         if stop - first >= _LEAST_FIXES and t[first] >= path.edges[0] and t[stop - 1] <= path.edges[-1]:
             a, b = np.searchsorted(path.edges, (t[first] - margin, t[stop - 1] + margin))
             if unknown[min(b, len(unknown) - 1)] - unknown[max(a - 1, 0)] <= most:
-                found.append((first, stop))
+                parts.append((first, stop))
         first = stop
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    return np.array(parts, dtype=np.int64).reshape(-1, 2)
 
 
 def degrees_of_freedom(fixes: Fixes, parts: IntArray) -> FloatArray:
@@ -141,14 +140,14 @@ class Moments:
     def residual_squares(self, a: ComplexArray, z: ComplexArray) -> FloatArray:
         """(s,) residual squares of z after the best multiple of a."""
         of_a = np.maximum(self.product(a, a).real, 1e-12)
-        left = self.product(z, z).real - np.abs(self.product(a, z)) ** 2 / of_a
-        return np.asarray(np.maximum(left, 0.0))
+        squares = self.product(z, z).real - np.abs(self.product(a, z)) ** 2 / of_a
+        return np.asarray(np.maximum(squares, 0.0))
 
 
 def compare_paths(paths: Sequence[Path], fixes: Fixes) -> PathFits:
     """Likelihoods of the paths, with segments of the length that distinguishes them best."""
     columns = np.array([path.places_at(fixes.t, fixes.complex_lever) for path in paths])
-    best, best_power = PathFits(np.zeros(len(paths)), 0, LENGTHS[0]), 0.0
+    best, best_power = PathFits(np.zeros(len(paths)), 0), 0.0
     for length in LENGTHS:
         parts = segments(paths[0], fixes, length)
         if not len(parts):
@@ -157,7 +156,7 @@ def compare_paths(paths: Sequence[Path], fixes: Fixes) -> PathFits:
         if distinction.sum() > best_power:
             is_distinct = distinction > _LEAST_DISTINCTION
             total = logs[:, is_distinct].sum(axis=1)
-            best = PathFits(total - total.min(), int(is_distinct.sum()), length)
+            best = PathFits(total - total.min(), int(is_distinct.sum()))
             best_power = float(distinction.sum())
     return best
 
@@ -180,8 +179,8 @@ def _segment_logs(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple
 
 def _pairwise_residual_squares(columns: ComplexArray) -> FloatArray:
     """(p, p) residual squares of each column (p, n) after a place and the best multiple of each other one."""
-    own = columns - columns.mean(axis=1, keepdims=True)
-    products = own.conj() @ own.T
+    centred = columns - columns.mean(axis=1, keepdims=True)
+    products = centred.conj() @ centred.T
     squares = np.diag(products).real
     explained = np.abs(products) ** 2 / np.maximum(squares, 1e-12)[:, np.newaxis]
     return np.asarray(np.maximum(squares - explained, 0.0))

@@ -43,8 +43,8 @@ def best_lever(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> L
     """Δl by the segment length with the smallest error; ``is_on_time``: headings show that fixes are."""
     thin, delay_stddev = thin_fixes(fixes, 0.2), _KNOWN_DELAY_STDDEV if is_on_time else _UNKNOWN_DELAY_STDDEV
     fits = [fit_lever(path, thin, length, tread, delay_stddev) for length in _LENGTHS]
-    found = [lever for lever in fits if lever is not None]
-    return min(found, key=lambda lever: float(np.minimum(lever.stddevs, tread).sum()), default=None)
+    levers = [lever for lever in fits if lever is not None]
+    return min(levers, key=lambda lever: float(np.minimum(lever.stddevs, tread).sum()), default=None)
 
 
 def judge_lever(
@@ -56,18 +56,18 @@ def judge_lever(
         return [], [OpenQuestion(f"lever arm of {fixes.name}, which swings", needed)]
     if lever is None or lever.turned < _LEAST_TURN or min(lever.stddevs) > 0.5 * machine.tread + 0.3:
         return [], [OpenQuestion(f"lever arm of {fixes.name}", _TURN_REQUEST)]
-    off = np.array((lever.value.real, lever.value.imag))
+    correction = np.array((lever.value.real, lever.value.imag))
     stddevs = np.array(lever.stddevs)
     allowed = np.array(
         (_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER)
     )
-    is_off = np.abs(off) > allowed + _SIGNIFICANT * stddevs
-    if not is_off.any() or lever.log_ratio < LEAST_LOG:
+    is_wrong = np.abs(correction) > allowed + _SIGNIFICANT * stddevs
+    if not is_wrong.any() or lever.log_ratio < LEAST_LOG:
         if max(stddevs) < _EXACT_SHARE * machine.tread:
             return [], []
         what = f"lever arm of {fixes.name}, which turns show to ± {_SIGNIFICANT * max(stddevs):.2g} m only"
         return [], [OpenQuestion(what, _TURN_REQUEST)]
-    value = np.array(fixes.lever) + off
+    value = np.array(fixes.lever) + correction
     is_mirrored = (np.abs(value + fixes.lever) < allowed + _SIGNIFICANT * stddevs).all()
     if np.hypot(*fixes.lever) > _LEAST_LEVER and is_mirrored:
         return [], [
@@ -76,14 +76,14 @@ def judge_lever(
             )
         ]
     group = group_of(fixes.name)
-    known = [k for k in (0, 1) if is_off[k] or stddevs[k] < _EXACT_SHARE * machine.tread]
-    shown = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * stddevs[k]:.2f}" for k in known)
+    axes = [k for k in (0, 1) if is_wrong[k] or stddevs[k] < _EXACT_SHARE * machine.tread]
+    position_text = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * stddevs[k]:.2f}" for k in axes)
     evidence = (
-        f"in turns the fixes are those of a sensor at {shown} m; "
+        f"in turns the fixes are those of a sensor at {position_text} m; "
         f"stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
     )
     rounded = (np.round(value, 2) + 0.0).tolist()  # no -0
-    values = [remedies.parameter(f"{group}.lever_arm_{'xy'[k]}", rounded[k]) for k in known]
+    values = [remedies.parameter(f"{group}.lever_arm_{'xy'[k]}", rounded[k]) for k in axes]
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
@@ -93,10 +93,10 @@ def is_sliding(drive: Drive) -> bool:
     is_reverse = drive.tracks_over_tread.sum(axis=1)[steps.windows] < 0.0
     if min(is_reverse.sum(), (~is_reverse).sum()) < _LEAST_COURSES:
         return False
-    across = np.exp(1j * (steps.courses - steps.headings))
-    by_tracks = np.where(is_reverse, -across, across)
-    goes = abs(across.mean()) > max(abs(by_tracks.mean()), _LEAST_AGREEMENT)
-    return bool(goes and abs(across.mean().imag) > abs(across.mean().real))
+    directions = np.exp(1j * (steps.courses - steps.headings))
+    by_tracks = np.where(is_reverse, -directions, directions)
+    is_same_side = abs(directions.mean()) > max(abs(by_tracks.mean()), _LEAST_AGREEMENT)
+    return bool(is_same_side and abs(directions.mean().imag) > abs(directions.mean().real))
 
 
 def judge_offset(
@@ -110,18 +110,18 @@ def judge_offset(
     distances = drive.tracks_over_tread.sum(axis=1)[steps.windows]
     differences = wrap_angles(steps.courses - steps.headings - np.where(distances < 0.0, np.pi, 0.0))
     middle = mean_direction(differences)
-    rest = wrap_angles(differences - middle)
-    scatter = 1.4826 * float(np.median(np.abs(rest)))
-    stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(rest)), 0.01))
-    basis = f"{len(rest)} straight pieces, course less heading"
+    residuals = wrap_angles(differences - middle)
+    scatter = 1.4826 * float(np.median(np.abs(residuals)))
+    stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(residuals)), 0.01))
+    basis = f"{len(residuals)} straight pieces, course less heading"
     measured = MeasuredValue("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
-    causes, open_ones = _judge_reverse(compass, distances < 0.0, np.abs(rest) > np.pi - _HALF_TURN)
-    if causes or open_ones:
-        return causes, open_ones, None
-    usual = np.abs(rest) < 0.5
-    if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or usual.mean() < 0.7:
+    causes, questions = _judge_reverse(compass, distances < 0.0, np.abs(residuals) > np.pi - _HALF_TURN)
+    if causes or questions:
+        return causes, questions, None
+    is_usual = np.abs(residuals) < 0.5
+    if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or is_usual.mean() < 0.7:
         return [], [], measured
-    log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(rest)), 0.02)) ** 2
+    log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(residuals)), 0.02)) ** 2
     if log_ratio < LEAST_LOG:
         return [], [], measured
     if abs(middle) > np.pi - _HALF_TURN:
@@ -141,7 +141,7 @@ def judge_offset(
         remedy = f"Set {remedies.parameter(f'{group_of(compass.name)}.offset', round(offset, 3))}"
     evidence = (
         f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the "
-        f"stated heading in {len(rest)} straight pieces"
+        f"stated heading in {len(residuals)} straight pieces"
     )
     return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
 
@@ -154,25 +154,30 @@ def _judge_reverse(
     (n,) straight pieces: whether the tracks reverse; whether course less heading is half a turn from most.
     """
     ahead, back = is_opposite[~is_reverse], is_opposite[is_reverse]
-    turned = int(is_opposite.sum())
-    if not compass.is_used or min(len(ahead), turned, len(is_opposite) - turned) < _LEAST_COURSES:
+    opposite_count = int(is_opposite.sum())
+    if (
+        not compass.is_used
+        or min(len(ahead), opposite_count, len(is_opposite) - opposite_count) < _LEAST_COURSES
+    ):
         return [], []
     if len(back) >= _LEAST_COURSES and abs(back.mean() - ahead.mean()) > _MOST_PIECES:
         evidence = (
             f"the heading turns round in {len(back)} straight pieces in reverse, against {len(ahead)} "
             "forward: a course over ground, or a heading of a cab that swung"
         )
-        leave = f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
-        leave = leave if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
-        remedy = f"Take the heading of two antennas on the undercarriage, or {leave}"
+        alternative = f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
+        alternative = (
+            alternative if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
+        )
+        remedy = f"Take the heading of two antennas on the undercarriage, or {alternative}"
         return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
-    return [], [] if len(back) else [_direction_question(compass.name, turned, len(ahead))]
+    return [], [] if len(back) else [_direction_question(compass.name, opposite_count, len(ahead))]
 
 
-def _direction_question(by: str, turned: int, pieces: int) -> OpenQuestion:
+def _direction_question(sources: str, opposite_count: int, pieces: int) -> OpenQuestion:
     what = (
-        f"machine that goes backwards by {by} in {turned} of {pieces} straight pieces, while the tracks "
-        "count forward: encoders without a direction, or a heading of a cab that swung"
+        f"machine that goes backwards by {sources} in {opposite_count} of {pieces} straight pieces, while "
+        "the tracks count forward: encoders without a direction, or a heading of a cab that swung"
     )
     return OpenQuestion(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)
 
@@ -185,15 +190,17 @@ def judge_direction(drive: Drive) -> list[OpenQuestion]:
     if drive.gyro is None or drive.fixes is None or drive.compass is not None:
         return []
     edges = drive.grid.edges
-    turned = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
-    steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, turned)
+    gyro_compass = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
+    steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, gyro_compass)
     if (
         len(steps.courses) < _LEAST_COURSES
         or (drive.tracks_over_tread.sum(axis=1)[steps.windows] < 0.0).any()
     ):
         return []
-    more = np.abs(wrap_angles(np.diff(steps.courses - steps.headings)))
-    turns_round = (more > np.pi - _HALF_TURN) & (np.diff(steps.windows) * WINDOW < _LONGEST_INTERVAL)
+    turn_differences = np.abs(wrap_angles(np.diff(steps.courses - steps.headings)))
+    turns_round = (turn_differences > np.pi - _HALF_TURN) & (
+        np.diff(steps.windows) * WINDOW < _LONGEST_INTERVAL
+    )
     is_opposite = np.concatenate(([0], np.cumsum(turns_round))) % 2 == 1
     fewer = min(int(is_opposite.sum()), int((~is_opposite).sum()))
     if fewer < _LEAST_COURSES or turns_round.sum() < 2:
@@ -204,52 +211,54 @@ def judge_direction(drive: Drive) -> list[OpenQuestion]:
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
     """Fixes kilometres from the origin of the map, or from the fix before; two sources metres apart."""
     causes = []
-    for one in fixes:
-        sound = np.isfinite(one.places).all(axis=1)
-        places = one.places[sound]
+    for source in fixes:
+        is_finite = np.isfinite(source.places).all(axis=1)
+        places = source.places[is_finite]
         if len(places) < 5:
             continue
         middle = np.median(places, axis=0)
         size = np.abs(middle)
         is_grid = (size > _LEAST_GRID_COORDINATE).all() and size[0] < 3.5e7 and size[1] < 1.1e7
-        far = float(np.hypot(*middle))
+        distance = float(np.hypot(*middle))
         steps = np.hypot(*np.diff(places, axis=0).T)
         leaps = np.flatnonzero(steps > 1e3)
-        stays = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
-        if stays and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
+        is_lasting = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
+        if is_lasting and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
             evidence = f"fixes leap by {steps[leaps[0]] / 1e3:.1f} km from one to the next, and stay there"
             remedy = (
                 "Give all fixes one datum: in the mapping datum: "
                 "{latitude: …, longitude: …}; of gnss_localizer its datum"
             )
-            causes.append(Cause("datum", one.name, evidence, odds_of(15.0), remedy))
-        elif far > _FARTHEST_SITE and not is_grid:
-            evidence = f"fixes are {far / 1e3:.1f} km from the origin of the map"
+            causes.append(Cause("datum", source.name, evidence, odds_of(15.0), remedy))
+        elif distance > _FARTHEST_SITE and not is_grid:
+            evidence = f"fixes are {distance / 1e3:.1f} km from the origin of the map"
             remedy = (
                 "Set the datum to the site: in the mapping datum: first; of "
                 "gnss_localizer datum_latitude and datum_longitude"
             )
-            causes.append(Cause("datum", one.name, evidence, odds_of(12.0), remedy))
+            causes.append(Cause("datum", source.name, evidence, odds_of(12.0), remedy))
     return causes + _judge_separation(fixes)
 
 
 def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
     """Places whose rounding is coarser than their stated standard deviation."""
     causes = []
-    for one in fixes:
+    for source in fixes:
         rounding = max(
-            (rounding_of(column[np.isfinite(column)], one.noise) for column in one.places.T), default=0.0
+            (rounding_of(column[np.isfinite(column)], source.noise) for column in source.places.T),
+            default=0.0,
         )
-        if rounding <= LEAST_ROUNDING_RATIO * one.noise:
+        if rounding <= LEAST_ROUNDING_RATIO * source.noise:
             continue
         evidence = (
-            f"its places are rounded by {rounding:.2g} m, and state a standard deviation of {one.noise:.2g} m"
+            f"its places are rounded by {rounding:.2g} m, and state a standard deviation of "
+            f"{source.noise:.2g} m"
         )
-        floor = remedies.parameter(f"{group_of(one.name)}.position_floor", float(f"{rounding:.2g}"))
+        floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{rounding:.2g}"))
         causes.append(
             Cause(
                 "position_resolution",
-                one.name,
+                source.name,
                 evidence,
                 odds_of(20.0),
                 f"Record {MORE_DIGITS}, or set {floor}",
@@ -263,10 +272,10 @@ def _judge_separation(fixes: Sequence[Fixes]) -> list[Cause]:
         return []
     first, second = fixes[0], fixes[1]
     difference = place_at(second, first.t) - first.places
-    sound = np.isfinite(difference).all(axis=1)
-    if sound.sum() < 10:
+    is_finite = np.isfinite(difference).all(axis=1)
+    if is_finite.sum() < 10:
         return []
-    gaps = np.hypot(*difference[sound].T)
+    gaps = np.hypot(*difference[is_finite].T)
     middle = float(np.median(gaps))
     noise = first.noise + second.noise
     if middle < max(_LEAST_SEPARATION, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:

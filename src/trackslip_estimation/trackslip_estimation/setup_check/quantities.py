@@ -16,7 +16,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
-from trackslip_estimation.setup_check.grid import WINDOW, integral
+from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import turn_scale
@@ -39,8 +39,8 @@ def _replace_angles(angles: Callable[[Tracks], FloatArray]) -> Callable[[Log], L
     """A change of a log to ``angles`` (n, 2) of the sprockets, rad, and their derivatives."""
 
     def change(log: Log) -> Log:
-        t, found = log.tracks.t, angles(log.tracks)
-        return replace(log, tracks=Tracks(t, np.gradient(found, t, axis=0), found))
+        t, new_angles = log.tracks.t, angles(log.tracks)
+        return replace(log, tracks=Tracks(t, np.gradient(new_angles, t, axis=0), new_angles))
 
     return change
 
@@ -88,28 +88,28 @@ class _Relations(NamedTuple):
 def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
     """The drive with its columns as the right quantity, and the cause if another quantity was declared."""
     declared, best = _fit_relations(drive), (drive, _Relations(0.0, np.zeros(4)), _INTERPRETATIONS[0])
-    for reading in _INTERPRETATIONS:
-        other = Drive(reading.change(drive.log))
-        found = _fit_relations(other)
-        gain = found.weight - best[1].weight
+    for interpretation in _INTERPRETATIONS:
+        other = Drive(interpretation.change(drive.log))
+        relations = _fit_relations(other)
+        gain = relations.weight - best[1].weight
         if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # a tie: by misfit
-            best = other, found, reading
-    changed, found, reading = best
-    pair = int(np.argmax(found.shares - declared.shares))  # that gains most
-    log_ratio = found.weight - declared.weight - PRIOR
-    if log_ratio < PRIOR or found.shares[pair] < _LEAST_EXPLAINED:
+            best = other, relations, interpretation
+    corrected, relations, interpretation = best
+    pair = int(np.argmax(relations.shares - declared.shares))  # that gains most
+    log_ratio = relations.weight - declared.weight - PRIOR
+    if log_ratio < PRIOR or relations.shares[pair] < _LEAST_EXPLAINED:
         return drive, None
-    source = "sprockets" if reading.cause == "speed_unit" or drive.gyro is None else drive.gyro.name
+    source = "sprockets" if interpretation.cause == "speed_unit" or drive.gyro is None else drive.gyro.name
     evidence = (
-        f"the columns are {reading.what}: so they explain {found.shares[pair]:.0%} of what another sensor "
-        f"shows of the motion, as declared {declared.shares[pair]:.0%}"
+        f"the columns are {interpretation.what}: so they explain {relations.shares[pair]:.0%} of what "
+        f"another sensor shows of the motion, as declared {declared.shares[pair]:.0%}"
     )
-    return changed, Cause(reading.cause, source, evidence, odds_of(log_ratio), reading.remedy)
+    return corrected, Cause(interpretation.cause, source, evidence, odds_of(log_ratio), interpretation.remedy)
 
 
 def _misfit(drive: Drive) -> float:
     """|ln| of the ratio of fixes to track distances, or else of gyro to track turns, over the usual ratio."""
-    distance, turn = rough_scale(drive), turn_scale(drive.turn, drive.tracks_over_tread, WINDOW)
+    distance, turn = rough_scale(drive), turn_scale(drive.turn, drive.tracks_over_tread)
     ratio = turn / USUAL_EFFICIENCY if np.isnan(distance) else distance
     return float(np.nan_to_num(abs(np.log(ratio)), nan=np.inf))
 
@@ -128,14 +128,14 @@ def _fit_relations(drive: Drive) -> _Relations:
     return _Relations(weight, np.array([share for share, _ in pairs]))
 
 
-def explained_share(shown: FloatArray, x: FloatArray) -> tuple[float, int]:
-    """R² of a linear relation of ``shown`` in windows (w,) to x (w, k), and the number of usable windows."""
-    usable = np.isfinite(shown) & np.isfinite(x).all(axis=1)
+def explained_share(observed: FloatArray, x: FloatArray) -> tuple[float, int]:
+    """R² of a linear relation of ``observed`` (w,) in windows to x (w, k), and the number of usable ones."""
+    usable = np.isfinite(observed) & np.isfinite(x).all(axis=1)
     count = int(usable.sum())
     if count < _LEAST_WINDOWS:
         return 0.0, 0
-    y, columns = shown[usable] - shown[usable].mean(), x[usable] - x[usable].mean(axis=0)
-    rest = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
-    of_y = float(y @ y)
-    share = 1.0 - float(rest @ rest) / of_y if of_y > 1e-12 else 0.0
+    y, columns = observed[usable] - observed[usable].mean(), x[usable] - x[usable].mean(axis=0)
+    residuals = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
+    total = float(y @ y)
+    share = 1.0 - float(residuals @ residuals) / total if total > 1e-12 else 0.0
     return min(max(share, 0.0), _MOST_EXPLAINED), count

@@ -63,9 +63,9 @@ def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
     return f"Set {parameter(f'{group}.convention', other)}; of an imported log, call the column {of_log}"
 
 
-def mounting(gyro: Gyro, fix: FloatArray) -> str:
-    """Remedy for a wrong mounting; ``fix`` (3, 3) turns vectors from stated to true axes of base_link."""
-    roll, pitch, yaw = euler_angles(fix @ rotation(*gyro.mounting))
+def mounting(gyro: Gyro, correction: FloatArray) -> str:
+    """Remedy for a wrong mounting; ``correction`` (3, 3) rotates vectors from stated to true axes."""
+    roll, pitch, yaw = euler_angles(correction @ rotation(*gyro.mounting))
     group = group_of(gyro.name)
     names = (("roll", roll), ("pitch", pitch), ("yaw", yaw))
     return "Set " + " ".join(parameter(f"{group}.mounting_{name}", round(value, 4)) for name, value in names)

@@ -51,10 +51,10 @@ class RunningCheck:
 
     def add(self, m: Measurement) -> None:
         """Keep a measurement as the estimator receives it; this takes about a microsecond."""
-        found = _to_row(m)
-        if found is None:
+        row = _to_row(m)
+        if row is None:
             return
-        key, values = found
+        key, values = row
         rows = self._rows.get(key)
         if rows is None:
             rows = self._rows.setdefault(key, deque(maxlen=_MOST_READINGS))
@@ -76,14 +76,14 @@ class RunningCheck:
         if result.causes:
             recent = self._check_columns(self._columns(RECENT_S))
             names = {cause.cause for cause in recent.causes}
-            kept = tuple(c for c in result.causes if c.cause in names or not _is_decided(recent))
-            if len(kept) < len(result.causes) and _is_decided(recent):
+            causes = tuple(c for c in result.causes if c.cause in names or not _is_decided(recent))
+            if len(causes) < len(result.causes) and _is_decided(recent):
                 self._remove_older(RECENT_S)
-            result = Result(kept, result.undetermined, result.facts)
+            result = Result(causes, result.undetermined, result.facts)
         is_open = bool(result.open_questions)
         if is_open and not self._was_open:
-            later = tuple(replace(one, is_wrong=False) for one in result.undetermined)
-            result = replace(result, undetermined=later)
+            undetermined = tuple(replace(question, is_wrong=False) for question in result.undetermined)
+            result = replace(result, undetermined=undetermined)
         self._was_open = is_open
         self.result = result
         return result
@@ -94,30 +94,32 @@ class RunningCheck:
 
     def _columns(self, length_s: float) -> Columns:
         with self._lock:
-            rows = {key: list(own) for key, own in self._rows.items() if own}
-        newest_ns = max((own[-1][0] for own in rows.values()), default=0)
-        found: Columns = {}
-        for key, own in rows.items():
-            stamps = np.array([stamp for stamp, _ in own], np.int64)
-            values: FloatArray = np.array([value for _, value in own], np.float64)
+            rows = {key: list(source_rows) for key, source_rows in self._rows.items() if source_rows}
+        newest_ns = max((source_rows[-1][0] for source_rows in rows.values()), default=0)
+        columns: Columns = {}
+        for key, source_rows in rows.items():
+            stamps = np.array([stamp for stamp, _ in source_rows], np.int64)
+            values: FloatArray = np.array([value for _, value in source_rows], np.float64)
             new = stamps > newest_ns - int(length_s * 1e9)
             if new.any():
-                found[key] = stamps[new], values[new]
-        return found
+                columns[key] = stamps[new], values[new]
+        return columns
 
     def _remove_older(self, length_s: float) -> None:
         with self._lock:
-            newest_ns = max((own[-1][0] for own in self._rows.values() if own), default=0)
-            for own in self._rows.values():
-                while own and own[0][0] <= newest_ns - int(length_s * 1e9):
-                    own.popleft()
+            newest_ns = max(
+                (source_rows[-1][0] for source_rows in self._rows.values() if source_rows), default=0
+            )
+            for source_rows in self._rows.values():
+                while source_rows and source_rows[0][0] <= newest_ns - int(length_s * 1e9):
+                    source_rows.popleft()
 
 
 class BackgroundCheck:
     """Evaluates a running check in a thread of its own, one evaluation at a time."""
 
-    def __init__(self, running: RunningCheck, failed: Callable[[Exception], None]) -> None:
-        self._running, self._failed = running, failed
+    def __init__(self, running: RunningCheck, on_failure: Callable[[Exception], None]) -> None:
+        self._running, self._on_failure = running, on_failure
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
@@ -135,13 +137,13 @@ class BackgroundCheck:
         try:
             self._running.evaluate()
         except Exception as error:  # noqa: BLE001 (whatever is measured, the estimator goes on)
-            self._failed(error)
+            self._on_failure(error)
 
 
 def _is_decided(result: Result) -> bool:
     """Whether there was enough motion to decide signs."""
     return bool(result.facts) and not any(
-        one.what.startswith(("signs", "everything")) for one in result.undetermined
+        question.what.startswith(("signs", "everything")) for question in result.undetermined
     )
 
 

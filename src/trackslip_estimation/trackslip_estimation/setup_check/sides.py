@@ -38,9 +38,9 @@ class TracksResult(NamedTuple):
 
 def compare_tracks(drive: Drive, unit: float) -> TracksResult:
     """Compare the tracks with each other and with the fixes; ``unit``: of the speeds, undone before."""
-    frame, same = _judge_frame(drive, unit), _judge_equal_tracks(drive)
-    if same is not None:
-        return TracksResult(None, (same,))
+    frame, equal_tracks = _judge_frame(drive, unit), _judge_equal_tracks(drive)
+    if equal_tracks is not None:
+        return TracksResult(None, (equal_tracks,))
     return _judge_ratio(drive, unit) if frame is None else TracksResult(drive.without_fixes(), (frame,))
 
 
@@ -48,15 +48,15 @@ def _judge_equal_tracks(drive: Drive) -> Cause | None:
     """The cause if both tracks show the same motion in turns."""
     turn = drive.heading_turn if drive.gyro is None else drive.turn
     tracks = drive.tracks_over_tread
-    goes = np.isfinite(tracks).all(axis=1) & (np.abs(tracks).max(axis=1) > _ROUNDING) & np.isfinite(turn)
-    turns = goes & (np.abs(turn) > _LEAST_TURN)
-    is_one = np.abs(tracks[:, 1] - tracks[:, 0]) <= _ROUNDING
-    if turns.sum() < _LEAST_WINDOWS or not is_one[goes].all():
+    is_usable = np.isfinite(tracks).all(axis=1) & (np.abs(tracks).max(axis=1) > _ROUNDING) & np.isfinite(turn)
+    is_turning = is_usable & (np.abs(turn) > _LEAST_TURN)
+    is_equal = np.abs(tracks[:, 1] - tracks[:, 0]) <= _ROUNDING
+    if is_turning.sum() < _LEAST_WINDOWS or not is_equal[is_usable].all():
         return None
-    turned = f"{np.degrees(np.abs(turn[turns]).sum()):.0f}°"
+    turned = f"{np.degrees(np.abs(turn[is_turning]).sum()):.0f}°"
     evidence = f"left and right sprocket show the same, while the machine turns {turned}"
     remedy = "Name the column, joint or signal of each side in the mapping or roles file"
-    return Cause("missing_value", "sprockets", evidence, odds_of(2.0 * float(turns.sum())), remedy)
+    return Cause("missing_value", "sprockets", evidence, odds_of(2.0 * float(is_turning.sum())), remedy)
 
 
 def _judge_ratio(drive: Drive, unit: float) -> TracksResult:
@@ -65,17 +65,18 @@ def _judge_ratio(drive: Drive, unit: float) -> TracksResult:
         return TracksResult(drive)
     logs = np.log((tracks[:, 0] + _ROUNDING) / (tracks[:, 1] + _ROUNDING))
     curve = turn / distance
-    bent = curve - curve.mean()
-    logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # less the effect of turns
+    centred = curve - curve.mean()
+    # less the effect of turns
+    logs = logs - np.sum(centred * logs) / max(float(np.sum(centred**2)), 1e-12) * curve
     least = float(np.log(_LEAST_RATIO))
     shares = [float((logs < -least).mean()), float((logs > least).mean())]
-    less = int(shares[1] > shares[0])  # the side with the shorter distance
-    if shares[less] < _USUAL_SHARE:
+    short_side = int(shares[1] > shares[0])  # the side with the shorter distance
+    if shares[short_side] < _USUAL_SHARE:
         return TracksResult(drive)
-    ahead = np.median(distance[:, np.newaxis] / (tracks + _ROUNDING), axis=0)
-    wrong = [k for k, one in enumerate(ahead.tolist()) if not _RATIO_RANGE[0] < one < _RATIO_RANGE[1]]
+    ratios = np.median(distance[:, np.newaxis] / (tracks + _ROUNDING), axis=0)
+    wrong = [k for k, one in enumerate(ratios.tolist()) if not _RATIO_RANGE[0] < one < _RATIO_RANGE[1]]
     q = float(np.exp(-abs(np.median(logs))))
-    name, other = _SIDES[less], _SIDES[1 - less]
+    name, other = _SIDES[short_side], _SIDES[1 - short_side]
     evidence = f"on straights the {name} sprocket turns {q:.3g} times as far as the {other} one"
     if len(wrong) != 1:
         needed = "count the turns of both sprockets by hand"
@@ -86,7 +87,7 @@ def _judge_ratio(drive: Drive, unit: float) -> TracksResult:
     if q < _MOST_DEAD_RATIO:
         remedy = f"Check the {name} encoder, and its name in the mapping or roles file"
         return TracksResult(None, (Cause("missing_value", "sprockets", evidence, odds, remedy),))
-    factor = 1.0 / q if wrong[0] == less else q
+    factor = 1.0 / q if wrong[0] == short_side else q
     remedy = (
         f"Correct counts_per_turn or ratio of the {side} side, or multiply scale by {factor:.3g} at "
         f"{side}_velocity or {side}_position in the mapping"
@@ -99,14 +100,16 @@ def _driven_windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, 
     """Windows with motion: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad turned."""
     tracks, distance = np.abs(drive.tracks_over_tread) * drive.machine.tread * unit, drive.fix_distances
     turn = drive.heading_turn if drive.gyro is None else drive.unbiased_turn
-    goes = np.isfinite(distance) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1)
-    goes &= np.abs(turn) < _TURNS
-    if drive.fixes is not None and goes.any():
-        goes &= distance > max(0.3 * float(np.percentile(distance[goes], 95)), 3.0 * drive.fixes.noise)
-    if goes.any():
-        most = tracks.max(axis=1)
-        goes &= most > 0.3 * float(np.percentile(most[goes], 95))
-    return tracks[goes], distance[goes], turn[goes]
+    is_usable = np.isfinite(distance) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1)
+    is_usable &= np.abs(turn) < _TURNS
+    if drive.fixes is not None and is_usable.any():
+        is_usable &= distance > max(
+            0.3 * float(np.percentile(distance[is_usable], 95)), 3.0 * drive.fixes.noise
+        )
+    if is_usable.any():
+        larger = tracks.max(axis=1)
+        is_usable &= larger > 0.3 * float(np.percentile(larger[is_usable], 95))
+    return tracks[is_usable], distance[is_usable], turn[is_usable]
 
 
 def _judge_frame(drive: Drive, unit: float) -> Cause | None:
@@ -117,15 +120,16 @@ def _judge_frame(drive: Drive, unit: float) -> Cause | None:
     distance = drive.fix_distances / WINDOW
     driven = tracks[np.isfinite(tracks)]
     fastest = float(np.percentile(driven, 95)) if len(driven) else np.inf
-    fast = (tracks > 0.3 * fastest) & np.isfinite(distance)
-    if int(fast.sum()) < _LEAST_WINDOWS:
+    is_fast = (tracks > 0.3 * fastest) & np.isfinite(distance)
+    if int(is_fast.sum()) < _LEAST_WINDOWS:
         return None
-    of_fixes, of_tracks = float(np.median(distance[fast])), float(np.median(tracks[fast]))
-    is_steady = float(np.percentile(distance[fast], 20)) > of_fixes / 3.0  # jumps of fixes are not
-    if of_fixes < FASTEST or of_tracks > FASTEST or not is_steady:
+    fix_speed, track_speed = float(np.median(distance[is_fast])), float(np.median(tracks[is_fast]))
+    is_steady = float(np.percentile(distance[is_fast], 20)) > fix_speed / 3.0  # jumps of fixes are not
+    if fix_speed < FASTEST or track_speed > FASTEST or not is_steady:
         return None
     evidence = (
-        f"fixes go {of_fixes / of_tracks:.3g} times as far as the tracks, {of_fixes:.3g} m/s: no machine does"
+        f"fixes go {fix_speed / track_speed:.3g} times as far as the tracks, {fix_speed:.3g} m/s: no machine "
+        "does"
     )
     remedy = "State the unit of the positions in the mapping: x and y: unit (cm, mm, ft), or their frame"
-    return Cause("frame", drive.fixes.name, evidence, odds_of(float(fast.sum())), remedy)
+    return Cause("frame", drive.fixes.name, evidence, odds_of(float(is_fast.sum())), remedy)

@@ -43,13 +43,13 @@ class Assignment:
 
 
 def _make_assignments() -> tuple[Assignment, ...]:
-    found = []
+    assignments = []
     for swap, (left, right) in itertools.product((False, True), itertools.product((1.0, -1.0), repeat=2)):
         signs = {(1.0, 1.0): set(), (-1.0, 1.0): {LEFT}, (1.0, -1.0): {RIGHT}, (-1.0, -1.0): {BOTH}}
         matrix = np.diag((left, right))
         causes = signs[left, right] | ({SWAPPED} if swap else set())
-        found.append(Assignment(frozenset(causes), matrix[::-1].copy() if swap else matrix))
-    return tuple(found)
+        assignments.append(Assignment(frozenset(causes), matrix[::-1].copy() if swap else matrix))
+    return tuple(assignments)
 
 
 ASSIGNMENTS = _make_assignments()
@@ -102,32 +102,32 @@ def decide(e: Evidence) -> Decision:
     weights = np.exp(scores - scores[best])
     names = sorted(set().union(*sets))
     odds = {name: _log_odds(weights, np.array([name in one for one in sets])) for name in names}
-    some = _log_odds(weights, np.array([bool(one) for one in sets]))
+    any_odds = _log_odds(weights, np.array([bool(one) for one in sets]))
     near = [k for k in np.argsort(-scores) if scores[best] - scores[k] < LEAST_LOG]
     rivals = tuple(dict.fromkeys(sets[k] for k in near if sets[k] != sets[best]))
     by_set = dict(zip(sets, scores.tolist(), strict=True))
-    sound = by_set[frozenset()] - PRIOR - LEAST_LOG
-    untested = tuple(name for name in names if by_set[frozenset((name,))] > sound)
+    threshold = by_set[frozenset()] - PRIOR - LEAST_LOG
+    untested = tuple(name for name in names if by_set[frozenset((name,))] > threshold)
     a, g, p, h = hypotheses[best]
-    return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, some, rivals, untested)
+    return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, any_odds, rivals, untested)
 
 
 def _hypothesis_causes(a: int, g: int, p: int, h: int) -> frozenset[str]:
-    others = {name for name, there in ((GYRO, g), (MIRROR, p), (HEADING, h)) if there}
+    others = {name for name, is_present in ((GYRO, g), (MIRROR, p), (HEADING, h)) if is_present}
     return ASSIGNMENTS[a].causes | others
 
 
 def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
     assignment = ASSIGNMENTS[a]
     pattern = turn_pattern(assignment.turn)
-    of_distance = 0 if assignment.distance[0] == assignment.distance[1] else 1
+    distance_index = 0 if assignment.distance[0] == assignment.distance[1] else 1
     score = -PRIOR * len(_hypothesis_causes(a, g, p, h))
     if e.has_gyro:
-        score += float(e.turns[opposite_pattern(pattern) if g else pattern] + e.shapes[of_distance, g ^ p])
+        score += float(e.turns[opposite_pattern(pattern) if g else pattern] + e.shapes[distance_index, g ^ p])
         score += float(e.headings[g ^ h])
     else:
         turned = assignment.turn * (-1.0 if p else 1.0)
-        score += float(e.track_shapes[of_distance, track_sense(of_distance, turned)])
+        score += float(e.track_shapes[distance_index, track_sense(turned)])
         score += float(e.track_headings[opposite_pattern(pattern) if h else pattern])
     score += float(e.courses[a, p, h])
     return score + _FORWARD_WEIGHT * float(np.log(np.clip(e.forward[a], *_SHARES)))
@@ -143,11 +143,11 @@ def opposite_pattern(pattern: int) -> int:
     return (1, 0, 3, 2)[pattern]
 
 
-def track_sense(of_distance: int, turn: FloatArray) -> int:
+def track_sense(turn: FloatArray) -> int:
     """0 where the turn (2,) is right less left, or, with one inverted track, their sum; 1: the opposite."""
     return 0 if turn[1] > 0.0 else 1
 
 
-def _log_odds(weights: FloatArray, there: BoolArray) -> float:
-    with_it, without = float(weights[there].sum()), float(weights[~there].sum())
-    return float(np.log(max(with_it, 1e-300)) - np.log(max(without, 1e-300)))
+def _log_odds(weights: FloatArray, is_present: BoolArray) -> float:
+    present, absent = float(weights[is_present].sum()), float(weights[~is_present].sum())
+    return float(np.log(max(present, 1e-300)) - np.log(max(absent, 1e-300)))

@@ -59,17 +59,17 @@ _BEST_PERCENTILE = 80.0  # percentile of ρ: the best ground of the drive
 def rough_scale(drive: Drive) -> float:
     """ρ on the fastest straights, whatever the signs of the tracks; nan: too little motion."""
     distance, tracks = drive.fix_distances, drive.tracks_over_tread * drive.machine.tread
-    sound = np.isfinite(distance) & np.isfinite(tracks).all(axis=1)
-    if sound.sum() < _LEAST_WINDOWS:
+    is_finite = np.isfinite(distance) & np.isfinite(tracks).all(axis=1)
+    if is_finite.sum() < _LEAST_WINDOWS:
         return float("nan")
-    distance, tracks = distance[sound], tracks[sound]
-    own = np.maximum(np.abs(tracks.sum(axis=1)), np.abs(tracks[:, 1] - tracks[:, 0])) / 2.0
-    fast = own > 0.6 * np.percentile(own, 95)
-    fast &= own > 0.0
+    distance, tracks = distance[is_finite], tracks[is_finite]
+    track_distance = np.maximum(np.abs(tracks.sum(axis=1)), np.abs(tracks[:, 1] - tracks[:, 0])) / 2.0
+    is_fast = track_distance > 0.6 * np.percentile(track_distance, 95)
+    is_fast &= track_distance > 0.0
     noise = 0.0 if drive.fixes is None else drive.fixes.noise
-    if fast.sum() < 3 or float(np.median(distance[fast])) < max(3.0 * noise, 0.05):
+    if is_fast.sum() < 3 or float(np.median(distance[is_fast])) < max(3.0 * noise, 0.05):
         return float("nan")
-    return float(np.percentile(distance[fast] / own[fast], 70))
+    return float(np.percentile(distance[is_fast] / track_distance[is_fast], 70))
 
 
 def speed_units(log: Log) -> Mapping[str, float]:
@@ -97,28 +97,28 @@ def slip_log(rho: float) -> float:
     return -0.5 * (slip / _NEGATIVE_SLIP_STDDEV) ** 2
 
 
-def _turn_log(turned: float) -> float:
+def _turn_log(turn_ratio: float) -> float:
     """Ln density of ln κ; 0 where it is unknown."""
-    if not np.isfinite(turned):
+    if not np.isfinite(turn_ratio):
         return 0.0
-    above = max(turned - MOST_TURN, 0.0) / _TURN_NOISE
-    return -0.5 * ((float(np.log(turned / _USUAL_TURN)) / _TURN_SPREAD) ** 2 + above**2)
+    above = max(turn_ratio - MOST_TURN, 0.0) / _TURN_NOISE
+    return -0.5 * ((float(np.log(turn_ratio / _USUAL_TURN)) / _TURN_SPREAD) ** 2 + above**2)
 
 
-def piece_counts(found: Scales) -> tuple[int, int]:
+def piece_counts(scales: Scales) -> tuple[int, int]:
     """Number of straight pieces, up to enough of them, and of all pieces."""
-    return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH_PIECES), len(found.ratios)
+    return min(int((scales.straight > _STRAIGHT).sum()), _ENOUGH_PIECES), len(scales.ratios)
 
 
 class DistanceRatios:
     """ρ of the straight pieces of a drive; where these are too few, of the longer half of all."""
 
-    def __init__(self, found: Scales) -> None:
-        use = found.straight > _STRAIGHT
-        self.is_straight = bool(use.sum() >= _LEAST_WINDOWS)
+    def __init__(self, scales: Scales) -> None:
+        is_used = scales.straight > _STRAIGHT
+        self.is_straight = bool(is_used.sum() >= _LEAST_WINDOWS)
         if not self.is_straight:
-            use = found.extents >= np.median(found.extents)
-        self.values, self.times = found.ratios[use], found.times[use]
+            is_used = scales.extents >= np.median(scales.extents)
+        self.values, self.times = scales.ratios[is_used], scales.times[is_used]
 
     @property
     def worst_ground_ratio(self) -> float:
@@ -147,57 +147,57 @@ class DistanceRatios:
 
 
 def judge_distance(
-    found: Scales | None, log: Log, factor: float, distance: float, turned: float
+    scales: Scales | None, log: Log, factor: float, distance: float, turn_ratio: float
 ) -> tuple[list[Cause], list[OpenQuestion]]:
     """Unit of the speeds, rolling radius and gear, by ρ; ``distance``: by the fixes, m.
 
-    ``factor``: of the unit, undone in ``found``. ``turned``: turn by the gyro over turn by the recorded
+    ``factor``: of the unit, undone in ``scales``. ``turn_ratio``: turn by the gyro over turn by the recorded
     tracks, which distinguishes fixes in feet from a wrong unit of the speeds; or nan.
     """
-    if found is None or len(found.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
+    if scales is None or len(scales.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
         needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
         return [], [OpenQuestion(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
-    ratios, machine, units = DistanceRatios(found), log.machine, speed_units(log)
-    whole = ratios.best_ground_ratio / factor  # ρ of the recorded speeds
-    names = {name: slip_log(whole * f) for name, f in units.items()}
-    best = max(names, key=lambda name: names[name])
-    gain = names[best] - max(slip_log(whole), -60.0) - 1.0
-    if whole < 1.0 and ratios.best_ground_ratio / factor < _MOST_BEST_RATIO:  # on all ground
-        middle = ratios.median / factor
+    ratios, machine, units = DistanceRatios(scales), log.machine, speed_units(log)
+    best_ratio, middle = ratios.best_ground_ratio / factor, ratios.median / factor  # ρ of the recorded speeds
+    unit_logs = {name: slip_log(best_ratio * f) for name, f in units.items()}
+    best = max(unit_logs, key=lambda name: unit_logs[name])
+    gain = unit_logs[best] - max(slip_log(best_ratio), -60.0) - 1.0
+    if best_ratio < _MOST_BEST_RATIO:  # on all ground
         gain = max(gain, slip_log(middle * units[best]) - slip_log(middle) - 1.0)
     gear = _judge_gear(ratios, factor) if ratios.is_straight else None
     if gear is not None:
         return [gear], []
-    middle = ratios.median / factor
     # slip only lowers ρ
-    is_everywhere = ratios.worst_ground_ratio / factor > _LEAST_WORST_RATIO if whole > 1.0 else True
+    is_everywhere = ratios.worst_ground_ratio / factor > _LEAST_WORST_RATIO if best_ratio > 1.0 else True
     is_radius = is_everywhere and ratios.is_straight  # in turns a lever arm has the same effect
     if is_radius and _RADIUS_RANGE[0] < middle - ratios.half_interval / factor and middle <= _RADIUS_RANGE[1]:
         return [_radius_cause(ratios, machine, factor)], []
-    if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and is_everywhere:
+    if gain > LEAST_LOG and unit_logs[best] > -4.0 and not 0.55 < best_ratio < 1.3 and is_everywhere:
         value = units[best]
-        by_speeds = names[best] + _turn_log(turned * value)
-        if by_speeds < slip_log(whole / _FEET) + _turn_log(turned) + LEAST_LOG:
-            what = f"fixes go {whole:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
+        by_speeds = unit_logs[best] + _turn_log(turn_ratio * value)
+        if by_speeds < slip_log(best_ratio / _FEET) + _turn_log(turn_ratio) + LEAST_LOG:
+            what = f"fixes go {best_ratio:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
             needed = "measure 10 m by tape and drive them; turn left and right by 90°"
             return [], [OpenQuestion(what, needed, is_wrong=True)]
-        possible = " or ".join(name for name, log in names.items() if log > names[best] - _EQUAL_LOG)
-        evidence = f"fixes go {whole:.3g} times as far as the tracks"
-        evidence += f"; as {possible}, {whole * value:.2f} times"
+        possible = " or ".join(name for name, log in unit_logs.items() if log > unit_logs[best] - _EQUAL_LOG)
+        evidence = f"fixes go {best_ratio:.3g} times as far as the tracks"
+        evidence += f"; as {possible}, {best_ratio * value:.2f} times"
         remedy = (
             "State the unit in which the speeds are (mapping: left_velocity "
             "and right_velocity: unit; roles file: "
             f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
-    gain = -max(slip_log(whole), -60.0) - PRIOR
-    if gain > LEAST_LOG and ratios.is_straight and not 1.0 < whole < _GEAR[1]:
-        evidence = f"fixes go {whole:.3g} times as far as the tracks: no slip, and no usual unit, does that"
+    gain = -max(slip_log(best_ratio), -60.0) - PRIOR
+    if gain > LEAST_LOG and ratios.is_straight and not 1.0 < best_ratio < _GEAR[1]:
+        evidence = (
+            f"fixes go {best_ratio:.3g} times as far as the tracks: no slip, and no usual unit, does that"
+        )
         remedy = (
-            f"State the gear (roles file: ratio, counts_per_turn), or scale: {whole:.3g} at left_velocity "
-            "and right_velocity in the mapping"
+            f"State the gear (roles file: ratio, counts_per_turn), or scale: {best_ratio:.3g} at "
+            "left_velocity and right_velocity in the mapping"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     if middle - ratios.half_interval / factor > _RADIUS_RANGE[0]:
@@ -207,9 +207,12 @@ def judge_distance(
     if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
         what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"
         return [], [OpenQuestion(f"{what}: gear", "drive 20 m straight in each gear")]
-    if whole < _LEAST_HARD:
+    if best_ratio < _LEAST_HARD:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
-        what = f"slip of {1.0 - whole:.0%}, a rolling radius that is too large, or another unit of the speeds"
+        what = (
+            f"slip of {1.0 - best_ratio:.0%}, a rolling radius that is too large, or another unit of the "
+            "speeds"
+        )
         return [], [OpenQuestion(what, needed)]
     return [], []
 
@@ -232,14 +235,14 @@ def _judge_gear(ratios: DistanceRatios, factor: float) -> Cause | None:
     count = len(values)
     if count < 2 * _LEAST_IN_GEAR:
         return None
-    is_high, rest = _two_levels(values)
+    is_high, scatter = _two_levels(values)
     low, high = values[~is_high], values[is_high]
     if min(len(low), len(high)) < _LEAST_IN_GEAR or (np.diff(is_high.astype(np.int64)) != 0).sum() > 3:
         return None
     low_ratio, high_ratio = float(np.exp(np.median(low))), float(np.exp(np.median(high)))
     ratio = high_ratio / low_ratio
-    usual = not 0.55 < low_ratio < 1.1
-    if not _GEAR[0] < ratio < _GEAR[1] or high_ratio < 1.2 or usual or rest > 0.25 * np.log(ratio):
+    is_unusual = not 0.55 < low_ratio < 1.1
+    if not _GEAR[0] < ratio < _GEAR[1] or high_ratio < 1.2 or is_unusual or scatter > 0.25 * np.log(ratio):
         return None
     evidence = (
         f"the machine goes {low_ratio:.2f} times as far as its tracks in {len(low)} pieces of the drive, and "
@@ -270,8 +273,8 @@ def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
         low, high = float(np.median(values[~smooth])), float(np.median(values[smooth]))
         is_high = values > (low + high) / 2.0
     smooth = majority_of_three(is_high)
-    rest = np.abs(values - np.where(smooth, high, low))
-    return smooth, float(np.percentile(rest, 80))
+    deviations = np.abs(values - np.where(smooth, high, low))
+    return smooth, float(np.percentile(deviations, 80))
 
 
 def majority_of_three(flags: BoolArray) -> BoolArray:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
+from trackslip_estimation.setup_check.grid import WINDOW
 
 PATTERNS = np.array(((-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0)))  # s_l, s_r
 EFFICIENCIES = np.geomspace(0.1, 1.15, 18)
@@ -35,42 +36,40 @@ class TurnFit(NamedTuple):
     logs: FloatArray  # (4,) ln likelihood ratio of each of ``PATTERNS`` over no relation
     efficiencies: FloatArray  # (4,) κ of each
     bias: float  # of the sensor, rad/s
-    windows: int  # with a turn
 
 
-def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0) -> TurnFit:
-    """Fit of ``turn`` (w,) to ``x`` (w, 2) in windows of ``length`` s; ``scale``: reading per rad."""
+def fit_turns(turn: FloatArray, x: FloatArray, scale: float = 1.0) -> TurnFit:
+    """Fit of ``turn`` (w,) to ``x`` (w, 2) in windows; ``scale``: reading per rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable] / scale, x[usable]
     if len(y) < 3:
-        return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0, 0)
-    none = _unrelated_log(y, x, length)
+        return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0)
+    none = _unrelated_log(y, x)
     candidates = PATTERNS @ x.T  # (4, w)
     ks = EFFICIENCIES[:, np.newaxis, np.newaxis]
     residuals = y - ks * candidates  # (k, 4, w)
     if has_standstill(x):
-        biases = np.full(residuals.shape[:2], median_bias(y, x, length) * length)
+        biases = np.full(residuals.shape[:2], median_bias(y, x) * WINDOW)
     else:
         biases = np.median(residuals, axis=2)
     variance = _NOISE**2 + SLIP**2 * np.sum(x**2, axis=1)
     residuals -= biases[:, :, np.newaxis]
     logs = log_mixture_density(residuals, variance, _outlier_width(y)).sum(axis=2)  # (k, 4)
     best = np.argmax(logs, axis=0)
-    every = np.arange(4)
-    found = logs[best, every] - none
-    bias = float(biases[best, every][int(np.argmax(found))]) / length
-    moved = int(np.sum(np.abs(y - bias * length) > np.radians(3.0)))
-    return TurnFit(found, EFFICIENCIES[best], bias * scale, moved)
+    indices = np.arange(4)
+    log_ratios = logs[best, indices] - none
+    bias = float(biases[best, indices][int(np.argmax(log_ratios))]) / WINDOW
+    return TurnFit(log_ratios, EFFICIENCIES[best], bias * scale)
 
 
-def turn_scale(turn: FloatArray, x: FloatArray, length: float) -> float:
+def turn_scale(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the sensor over turn by the tracks, by the pattern that explains it best; nan: few turns."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     if len(y) < 3:
         return float("nan")
-    y = y - median_bias(y, x, length) * length
-    best, found = -1.0, float("nan")
+    y = y - median_bias(y, x) * WINDOW
+    best, scale = -1.0, float("nan")
     for pattern in PATTERNS[[0, 2]]:
         turned = x @ pattern
         large = np.abs(turned) > max(0.1, 0.3 * float(np.abs(turned).max(initial=0.0)))
@@ -80,14 +79,14 @@ def turn_scale(turn: FloatArray, x: FloatArray, length: float) -> float:
         middle = float(np.median(ratio))
         spread = 1.4826 * float(np.median(np.abs(ratio - middle))) + 1e-12
         if abs(middle) / spread > best:
-            best, found = abs(middle) / spread, abs(middle)
-    return found
+            best, scale = abs(middle) / spread, abs(middle)
+    return scale
 
 
-def median_bias(y: FloatArray, x: FloatArray, length: float) -> float:
+def median_bias(y: FloatArray, x: FloatArray) -> float:
     """Median rate at standstill, rad/s; without standstill, that of all: turns to both sides cancel."""
     still = standstill_windows(x)
-    return float(np.median(y[still] if has_standstill(x) else y)) / length if len(y) else 0.0
+    return float(np.median(y[still] if has_standstill(x) else y)) / WINDOW if len(y) else 0.0
 
 
 def has_standstill(x: FloatArray) -> bool:
@@ -98,15 +97,15 @@ def has_standstill(x: FloatArray) -> bool:
 def standstill_windows(x: FloatArray) -> BoolArray:
     """(w,) windows in which neither track moves; x (w, 2)."""
     moved = np.abs(x).max(axis=1)
-    found: BoolArray = (
+    is_still: BoolArray = (
         moved <= max(_STILL * float(np.percentile(moved, 95)), 1e-9) if len(moved) else moved > 0.0
     )
-    return found
+    return is_still
 
 
-def log_mixture_density(rest: FloatArray, variance: FloatArray, width: float) -> FloatArray:
+def log_mixture_density(residuals: FloatArray, variance: FloatArray, width: float) -> FloatArray:
     """Ln density of residuals: normal, with one outlier in twenty, uniform within ``width``."""
-    usual = (1.0 - OUTLIERS) * np.exp(-0.5 * rest**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    usual = (1.0 - OUTLIERS) * np.exp(-0.5 * residuals**2 / variance) / np.sqrt(2.0 * np.pi * variance)
     return np.asarray(np.log(usual + OUTLIERS / width))
 
 
@@ -114,9 +113,9 @@ def _outlier_width(y: FloatArray) -> float:
     return 2.0 * max(float(np.abs(y).max(initial=0.0)), 1.0)
 
 
-def _unrelated_log(y: FloatArray, x: FloatArray, length: float) -> float:
+def _unrelated_log(y: FloatArray, x: FloatArray) -> float:
     """Ln likelihood of turns that are independent of the tracks."""
-    y = y - median_bias(y, x, length) * length
+    y = y - median_bias(y, x) * WINDOW
     variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
     return float(log_mixture_density(y, variance, _outlier_width(y)).sum())
 
@@ -124,12 +123,12 @@ def _unrelated_log(y: FloatArray, x: FloatArray, length: float) -> float:
 def count_turns(turn: FloatArray) -> int:
     """Number of turns of 15° or more in one sense, of (w,) turns in windows."""
     count, total = 0, 0.0
-    for own in np.where(np.isfinite(turn), turn, 0.0):
-        if abs(own) < _TURNING or own * total < 0.0:
+    for window_turn in np.where(np.isfinite(turn), turn, 0.0):
+        if abs(window_turn) < _TURNING or window_turn * total < 0.0:
             count += abs(total) >= _LEAST_ANGLE
             total = 0.0
-        if abs(own) >= _TURNING:
-            total += float(own)
+        if abs(window_turn) >= _TURNING:
+            total += float(window_turn)
             if abs(total) >= np.radians(180.0):  # each half turn counts
                 count, total = count + 1, 0.0
     return int(count + (abs(total) >= _LEAST_ANGLE))

@@ -21,7 +21,7 @@ _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the distance
 _LONGEST_HOLD = 5.0  # s for which a log may hold the last fix
 _LEAST_RATIO = 0.01  # share of the distance; with more slip, the motion does not follow the tracks
-_FOLLOWS, _FOLLOWS_NOT = 0.8, 0.2  # R²
+_RELATED, _UNRELATED = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
 _ROUNDING = 1e-9  # m
 _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
@@ -64,7 +64,7 @@ def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
     distances = np.abs(drive.tracks_over_tread @ np.array(((1.0, 1.0), (1.0, -1.0))))
     share, windows = max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
     ratio = float(np.nansum(drive.fix_distances)) / distance
-    is_other = ratio < _LEAST_RATIO and share > _FOLLOWS and float(np.nanpercentile(speeds, 95)) < FASTEST
+    is_other = ratio < _LEAST_RATIO and share > _RELATED and float(np.nanpercentile(speeds, 95)) < FASTEST
     return ratio if is_other and windows >= _LEAST_WINDOWS else 0.0
 
 
@@ -73,8 +73,8 @@ def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
     distances = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
     runs = equal_runs(fixes.centred_places)
     first, last = fixes.t[runs.first], fixes.t[runs.last]
-    held = last - first > _LONGEST_HOLD
-    begin, end = (np.interp(t[held], drive.grid.edges, distances) for t in (first, last))
+    is_held = last - first > _LONGEST_HOLD
+    begin, end = (np.interp(t[is_held], drive.grid.edges, distances) for t in (first, last))
     return float(np.sum(end - begin))
 
 
@@ -90,17 +90,17 @@ def judge_turns(drive: Drive) -> list[OpenQuestion]:
         return []
     by_gyro, gyro_windows = explained_share(drive.turn, drive.tracks_over_tread)
     by_heading, heading_windows = explained_share(drive.heading_turn, drive.tracks_over_tread)
-    both, _ = explained_share(drive.heading_turn, drive.turn[:, np.newaxis])
-    gyro, compass, found = drive.gyro, drive.compass, []
+    mutual, _ = explained_share(drive.heading_turn, drive.turn[:, np.newaxis])
+    gyro, compass, mismatches = drive.gyro, drive.compass, []
     if gyro is None or gyro_windows < _LEAST_WINDOWS or (gyro.is_above and drive.log.swing is None):
         return []
-    if max(by_gyro, both) < _FOLLOWS_NOT:
-        found.append(f"turns of {gyro.name} that neither tracks nor headings show")
+    if max(by_gyro, mutual) < _UNRELATED:
+        mismatches.append(f"turns of {gyro.name} that neither tracks nor headings show")
     is_shown = compass is not None and compass.is_used and heading_windows >= _LEAST_WINDOWS
-    if compass is not None and is_shown and max(by_heading, both) < _FOLLOWS_NOT and by_gyro > _FOLLOWS:
-        found.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
+    if compass is not None and is_shown and max(by_heading, mutual) < _UNRELATED and by_gyro > _RELATED:
+        mismatches.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
     needed = "look at its column as it comes, while the machine turns left and right by 90°"
-    return [OpenQuestion(what, needed, is_wrong=True) for what in found]
+    return [OpenQuestion(what, needed, is_wrong=True) for what in mismatches]
 
 
 def judge_counting(drive: Drive) -> list[OpenQuestion]:
@@ -114,9 +114,10 @@ def judge_counting(drive: Drive) -> list[OpenQuestion]:
     if is_hidden or not len(counted) or float(counted.min()) < -_ROUNDING:
         return []
     left, right = drive.tracks_over_tread.T
-    apart, both = np.pad(np.abs(right - left), 1), left + right
-    apart = np.maximum(np.maximum(apart[:-2], apart[2:]), apart[1:-1])  # or in the next window, if delayed
-    on_the_spot = (turn > 2.0 * _TURNING) & (turn > 2.0 * MOST_TURN * apart) & (turn < MOST_TURN * both)
+    difference, total = np.pad(np.abs(right - left), 1), left + right
+    # or in the next window, if delayed
+    difference = np.maximum(np.maximum(difference[:-2], difference[2:]), difference[1:-1])
+    on_the_spot = (turn > 2.0 * _TURNING) & (turn > 2.0 * MOST_TURN * difference) & (turn < MOST_TURN * total)
     if on_the_spot.sum() < _LEAST_TURNING:
         return []
     what = (

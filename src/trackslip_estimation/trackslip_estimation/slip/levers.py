@@ -161,7 +161,7 @@ def swing_lever(imu: ImuSample, swing_rate: float, c: Config) -> None:
 @compiled
 def horizontal_direction(angle: float, level: Level) -> float:
     """Horizontal direction, relative to the heading, of a vector along ``angle`` in base_link, rad."""
-    if level.tilted == 0:
+    if level.known == 0:
         return angle
     cos, sin = np.cos(angle), np.sin(angle)
     return float(np.arctan2(sin * (1.0 + level.sideways), cos * (1.0 + level.forward) + sin * level.across))

@@ -51,13 +51,13 @@ def update_attitude(state: State, measurement: MeasurementRecord, bias: int, c: 
     imu.stamp_ns, imu.force[:] = measurement.stamp_ns, measurement.acceleration
     imu.force_variance, imu.lever[:] = measurement.acceleration_variance, c.tilt_lever
     imu.up[:], imu.up_variances[:] = measurement.up, measurement.up_variances
-    imu.levels, imu.oriented = c.tilt_acceleration, c.tilt_orientation
+    imu.use_force, imu.use_orientation = c.tilt_acceleration, c.tilt_orientation
     v_x, v_y, rate = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
     imu.velocity[0], imu.velocity[1] = v_x, v_y
-    imu.turn, imu.turn_variance, imu.lost = 0.0, 0.0, 0
+    imu.turn, imu.turn_variance, imu.swing_unknown = 0.0, 0.0, 0
     if c.above[source] == 1:
         imu.turn, imu.turn_variance = state.mean[SWING], state.covariance[SWING, SWING]
-        imu.lost = 1 if imu.turn_variance > UNKNOWN_SWING**2 else 0
+        imu.swing_unknown = 1 if imu.turn_variance > UNKNOWN_SWING**2 else 0
         swing_lever(imu, state.mean[SWING_RATE], c)
         imu.rates[2] = rate  # the rate of the IMU contains the swing, before the state does
     imu.known_velocity = 0 if state.coasting else 1
@@ -75,7 +75,7 @@ def propagate_height_by_twist(state: State, dt: float, c: Config) -> None:
 @compiled
 def correct_height_by_position(state: State, east: float, north: float) -> None:
     """Correct the height by a correction of the position, m, along the ground."""
-    if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
+    if state.attitude.level.known == 1 and (east != 0.0 or north != 0.0):
         ahead, left = _displacement_on_ground(state, east, north)
         propagate_height(state.attitude, ahead, left, 1.0)
 

@@ -43,10 +43,12 @@ class SoilClasses:
     ) -> None:
         known = tuple(soils)
         self.names = (*(soil.name for soil in known), NONE)
-        each = (1.0 - parameters.none_prior) / max(len(known), 1)
+        class_prior = (1.0 - parameters.none_prior) / max(len(known), 1)
         # Spreading the densities once gives the same sums of products as spreading the cells each time.
-        spread = [each * grid.expectation(*_class_density(parameters, soil, vehicle, grid)) for soil in known]
-        self._densities = np.stack([*spread, np.full(grid.shape, parameters.none_prior)])
+        densities = [
+            class_prior * grid.expectation(*_class_density(parameters, soil, vehicle, grid)) for soil in known
+        ]
+        self._densities = np.stack([*densities, np.full(grid.shape, parameters.none_prior)])
 
     def probabilities(self, cells: FloatArray) -> dict[str, float]:
         """Return the probability of each name, for cell probabilities (moduli, limits) from a flat prior."""

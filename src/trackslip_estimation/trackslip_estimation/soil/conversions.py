@@ -44,7 +44,7 @@ def machine_state(message: Any) -> MachineState:
     """Return the record of a trackslip_msgs/MachineState; undefined states of motion become UNKNOWN."""
     m = read(MachineStateFields, message)
     pose = PoseWithCovariance(np.array((m.x, m.y, m.heading)), m.pose_covariance)
-    leans, swings = m.attitude_covariance[0, 0] != ABSENT, m.swing_covariance[0, 0] != ABSENT
+    has_attitude, has_swing = m.attitude_covariance[0, 0] != ABSENT, m.swing_covariance[0, 0] != ABSENT
     return MachineState(
         m.stamp_ns,
         np.array((m.v_x, m.v_y, m.yaw_rate)),
@@ -52,10 +52,12 @@ def machine_state(message: Any) -> MachineState:
         pose,
         np.array((m.left_slip, m.right_slip, m.slip_angle)),
         _MOTIONS.get(m.motion_state, Motion.UNKNOWN),
-        (m.roll, m.pitch) if leans else (0.0, 0.0),
-        (float(m.attitude_covariance[0, 0]), float(m.attitude_covariance[1, 1])) if leans else (0.0, 0.0),
-        m.swing if swings else 0.0,
-        float(m.swing_covariance[0, 0]) if swings else math.inf,
+        (m.roll, m.pitch) if has_attitude else (0.0, 0.0),
+        (float(m.attitude_covariance[0, 0]), float(m.attitude_covariance[1, 1]))
+        if has_attitude
+        else (0.0, 0.0),
+        m.swing if has_swing else 0.0,
+        float(m.swing_covariance[0, 0]) if has_swing else math.inf,
     )
 
 
@@ -104,8 +106,8 @@ def slip_seed(make: MessageFactory, seed: SlipSeed, base_frame: str) -> Any:
 
 def soil_estimate(make: MessageFactory, state: SoilState, base_frame: str) -> Any:
     """Return a trackslip_msgs/SoilEstimate."""
-    found = state.strength
-    (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
+    strength = state.strength
+    (k_low, k_high), (f_low, f_high) = strength.shear_modulus_interval, strength.thrust_limit_interval
     return make(
         "trackslip_msgs/msg/SoilEstimate",
         header=header(make, state.stamp_ns, base_frame),
@@ -113,14 +115,14 @@ def soil_estimate(make: MessageFactory, state: SoilState, base_frame: str) -> An
         mu_r_variance=state.mu_r_variance,
         mu_l=state.mu_l,
         mu_l_variance=state.mu_l_variance,
-        shear_modulus=found.shear_modulus,
+        shear_modulus=strength.shear_modulus,
         shear_modulus_lower=k_low,
         shear_modulus_upper=k_high,
-        max_tractive_effort=found.thrust_limit,
+        max_tractive_effort=strength.thrust_limit,
         max_tractive_effort_lower=f_low,
         max_tractive_effort_upper=f_high,
-        identifiable=found.identifiable,
-        reason=found.reason,
+        identifiable=strength.identifiable,
+        reason=strength.reason,
         class_names=list(state.classes),
         class_probabilities=list(state.classes.values()),
     )

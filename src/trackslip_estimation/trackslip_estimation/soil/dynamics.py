@@ -118,10 +118,9 @@ def _expected_sign(speed: float, variance: float) -> float:
 def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundLoad, p: SoilConfig) -> None:
     """Propagate by ``sample.dt`` s, then update with ``sample.twist`` of the slip estimator."""
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
-    moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
-    is_modelled = thrust.is_known and moves and 0.0 < dt <= p.dynamics.longest_step
-    held = _is_held_by_friction(sample, load, p)
-    is_modelled = is_modelled and not held
+    is_moving = sample.motion == _STRAIGHT or sample.motion == _TURNING
+    is_held = _is_held_by_friction(sample, load, p)
+    is_modelled = thrust.is_known and is_moving and 0.0 < dt <= p.dynamics.longest_step and not is_held
     measured, noise = np.empty(_MEASURED), np.empty((_MEASURED, _MEASURED))  # v_x, φ̇
     for i in range(_MEASURED):
         measured[i] = twist[2 * i]
@@ -136,13 +135,15 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
     else:
         first_followed = SPEED
         for k in range(MU_R, MU_L + 1):
-            dynamics.covariance[k, k] += p.dynamics.unmeasured_walk**2 * dt if moves and not held else 0.0
+            dynamics.covariance[k, k] += (
+                p.dynamics.unmeasured_walk**2 * dt if is_moving and not is_held else 0.0
+            )
     _set_measured_speeds(dynamics, first_followed, measured, noise)
     if is_modelled:
-        correlated = max(p.dynamics.twist_error_time / dt, 1.0)
+        inflation = max(p.dynamics.twist_error_time / dt, 1.0)
         for i in range(_MEASURED):
             for j in range(_MEASURED):
-                noise[i, j] *= correlated
+                noise[i, j] *= inflation
         _correct(dynamics, measured, noise)
     _bound_coefficients(dynamics, p.dynamics)
 
@@ -172,25 +173,25 @@ def _predict(
         F[RATE, MU_R] = -half_tread * (N_right * right - N_left * left) / vehicle.yaw_inertia * dt
         F[RATE, MU_L] = -sense * (N_left + N_right) * lever / vehicle.yaw_inertia * dt
         push[RATE] = half_tread * (thrust.force[1] - thrust.force[0]) / vehicle.yaw_inertia * dt
-    before = dynamics.mean.copy()
-    after = multiply_vector(F, before)
+    mean = dynamics.mean.copy()
+    predicted = multiply_vector(F, mean)
     for i in range(_SIZE):
-        after[i] += push[i]
+        predicted[i] += push[i]
     # An uncertain sign adds variance to the resistance.
-    open_left, open_right = 1.0 - left**2, 1.0 - right**2
-    L = thrust.variance[0] + (before[MU_R] * N_left) ** 2 * open_left
-    R = thrust.variance[1] + (before[MU_R] * N_right) ** 2 * open_right
-    by_speed, by_rate = 1.0 / vehicle.mass, half_tread / vehicle.yaw_inertia
-    correlated = n.error_time * dt
+    sign_variance_left, sign_variance_right = 1.0 - left**2, 1.0 - right**2
+    L = thrust.variance[0] + (mean[MU_R] * N_left) ** 2 * sign_variance_left
+    R = thrust.variance[1] + (mean[MU_R] * N_right) ** 2 * sign_variance_right
+    per_force, per_moment = 1.0 / vehicle.mass, half_tread / vehicle.yaw_inertia
+    correlation = n.error_time * dt
     Q = np.zeros((_SIZE, _SIZE))
-    Q[SPEED, SPEED] = (by_speed**2 * (L + R) + n.acceleration_stddev**2) * correlated
+    Q[SPEED, SPEED] = (per_force**2 * (L + R) + n.acceleration_stddev**2) * correlation
     Q[MU_R, MU_R] = n.mu_r_walk**2 * dt
     if sense != 0.0:
-        inertia = (n.yaw_inertia_stddev * (after[RATE] - before[RATE]) / dt) ** 2
-        Q[RATE, RATE] = (by_rate**2 * (L + R) + inertia + n.yaw_acceleration_stddev**2) * correlated
-        Q[SPEED, RATE] = Q[RATE, SPEED] = by_speed * by_rate * (R - L) * correlated
+        inertia = (n.yaw_inertia_stddev * (predicted[RATE] - mean[RATE]) / dt) ** 2
+        Q[RATE, RATE] = (per_moment**2 * (L + R) + inertia + n.yaw_acceleration_stddev**2) * correlation
+        Q[SPEED, RATE] = Q[RATE, SPEED] = per_force * per_moment * (R - L) * correlation
         Q[MU_L, MU_L] = n.mu_l_walk**2 * dt
-    _set_state(dynamics, after, sandwich(F, dynamics.covariance.copy()), Q)
+    _set_state(dynamics, predicted, sandwich(F, dynamics.covariance.copy()), Q)
 
 
 @compiled
@@ -200,24 +201,24 @@ def _correct(dynamics: Dynamics, measured: FloatArray, noise: FloatArray) -> Non
     S00, S01 = covariance[0, 0] + noise[0, 0], covariance[0, 1] + noise[0, 1]
     S10, S11 = covariance[1, 0] + noise[1, 0], covariance[1, 1] + noise[1, 1]
     determinant = S00 * S11 - S01 * S10
-    gain, keep, after = np.empty((_SIZE, _MEASURED)), np.eye(_SIZE), np.empty(_SIZE)
+    gain, complement, corrected = np.empty((_SIZE, _MEASURED)), np.eye(_SIZE), np.empty(_SIZE)
     for i in range(_SIZE):
         of_speed, of_rate = covariance[i, SPEED], covariance[i, RATE]
         gain[i, 0] = (of_speed * S11 - of_rate * S10) / determinant
         gain[i, 1] = (of_rate * S00 - of_speed * S01) / determinant
-        keep[i, SPEED] -= gain[i, 0]
-        keep[i, RATE] -= gain[i, 1]
-        after[i] = mean[i] + (gain[i, 0] * (measured[0] - mean[0]) + gain[i, 1] * (measured[1] - mean[1]))
-    _set_state(dynamics, after, sandwich(keep, covariance), sandwich(gain, noise))
+        complement[i, SPEED] -= gain[i, 0]
+        complement[i, RATE] -= gain[i, 1]
+        corrected[i] = mean[i] + (gain[i, 0] * (measured[0] - mean[0]) + gain[i, 1] * (measured[1] - mean[1]))
+    _set_state(dynamics, corrected, sandwich(complement, covariance), sandwich(gain, noise))
 
 
 @compiled
-def _set_state(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
-    """Set the mean, and the covariance to ``covariance`` + ``more``."""
+def _set_state(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, noise: FloatArray) -> None:
+    """Set the mean, and the covariance to ``covariance`` + ``noise``."""
     for i in range(_SIZE):
         dynamics.mean[i] = mean[i]
         for j in range(_SIZE):
-            dynamics.covariance[i, j] = covariance[i, j] + more[i, j]
+            dynamics.covariance[i, j] = covariance[i, j] + noise[i, j]
 
 
 @compiled

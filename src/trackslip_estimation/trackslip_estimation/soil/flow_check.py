@@ -41,7 +41,7 @@ def volumetric_efficiency(
     """
     if not (abs(spools[0]) >= p.open_spool and abs(spools[1]) >= p.open_spool):
         return before
-    seen = float(0.5 * (speeds[0] / spools[0] + speeds[1] / spools[1]) / full_flow_speed)
-    if not math.isfinite(seen):
+    measured = float(0.5 * (speeds[0] / spools[0] + speeds[1] / spools[1]) / full_flow_speed)
+    if not math.isfinite(measured):
         return before
-    return seen if math.isnan(before) else before - math.expm1(-dt / p.memory) * (seen - before)
+    return measured if math.isnan(before) else before - math.expm1(-dt / p.memory) * (measured - before)

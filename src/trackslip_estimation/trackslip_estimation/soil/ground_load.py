@@ -1,8 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of the weight: pull along a slope, and uneven track loads by slope and swing.
-
-Compiled.
+"""Effects of the weight: pull along a slope, and uneven track loads by slope and swing; compiled.
 
     θ, ϕ         pitch (nose down > 0), roll (left side up > 0)                 rad
     σ, s         angle of the upper structure, its standard deviation           rad
@@ -72,7 +70,7 @@ class BucketLoad(Record):
     """State for detecting that the load of the bucket may have changed."""
 
     has_bucket: int
-    stood: float  # s at standstill
+    standstill_time: float  # s
     has_driven: int  # whether the machine has driven since the start
     may_differ: int  # whether the mass may differ from the initial one
 
@@ -113,13 +111,13 @@ class SwungCentre(NamedTuple):
 
 def new_gravity_centre(vehicle: VehicleParameters) -> Table[GravityCentre]:
     """Return the centre of gravity (1,); by default at C on the ground, height stddev half the tread."""
-    whole, centre = vehicle.whole(), make_table(GravityCentre, CENTRE, 1)
+    machine, centre = vehicle.whole(), make_table(GravityCentre, CENTRE, 1)
     centre["balance"] = vehicle.swing_balance
-    given = whole.centre_of_gravity
-    if given is None:
-        centre["height_variance"] = (0.5 * whole.tread) ** 2
+    stated = machine.centre_of_gravity
+    if stated is None:
+        centre["height_variance"] = (0.5 * machine.tread) ** 2
     else:
-        centre["x"], centre["y"], centre["height"] = given.x, given.y, given.z
+        centre["x"], centre["y"], centre["height"] = stated.x, stated.y, stated.z
     return centre
 
 
@@ -135,8 +133,14 @@ def update_bucket_load(bucket_load: BucketLoad, sample: Sample, p: LoadParameter
     """Update whether the bucket load may differ: it changes at a standstill of ``filling_time`` or longer."""
     if sample.motion == _STRAIGHT or sample.motion == _TURNING:
         bucket_load.has_driven = 1
-    bucket_load.stood = bucket_load.stood + sample.dt if sample.motion == _STANDING else 0.0
-    if bucket_load.has_bucket == 1 and bucket_load.has_driven == 1 and bucket_load.stood >= p.filling_time:
+    bucket_load.standstill_time = (
+        bucket_load.standstill_time + sample.dt if sample.motion == _STANDING else 0.0
+    )
+    if (
+        bucket_load.has_bucket == 1
+        and bucket_load.has_driven == 1
+        and bucket_load.standstill_time >= p.filling_time
+    ):
         bucket_load.may_differ = 1
 
 
@@ -160,7 +164,7 @@ def _swing_centre(centre: GravityCentre, sample: Sample) -> SwungCentre:
 @compiled
 def set_ground_load(load: GroundLoad, centre: GravityCentre, sample: Sample, p: SoilConfig) -> None:
     """Fill the load at a sample."""
-    vehicle, friction, spread = p.vehicle, p.load.friction_share, p.load.friction_share_stddev
+    vehicle, friction, friction_stddev = p.vehicle, p.load.friction_share, p.load.friction_share_stddev
     roll, pitch = sample.tilt[0], sample.tilt[1]
     weight, down = vehicle.mass * GRAVITY, math.cos(pitch) * math.cos(roll)
     load.pull = weight * math.sin(pitch)
@@ -168,7 +172,9 @@ def set_ground_load(load: GroundLoad, centre: GravityCentre, sample: Sample, p: 
     swung = _swing_centre(centre, sample)
     x_N = swung.x + centre.height * math.tan(pitch) / math.cos(roll)
     y_N = swung.y - centre.height * math.tan(roll)
-    uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
+    offset_variance = (
+        centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
+    )
     load.stretch = 1.0 / math.cos(pitch)
     load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
     load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
@@ -178,6 +184,8 @@ def set_ground_load(load: GroundLoad, centre: GravityCentre, sample: Sample, p: 
     for k in range(2):
         share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread
         load.normal[k] = weight * down * min(max(share, 0.0), 1.0)
-        more = 2.0 * load.normal[k] / weight - 1.0
-        load.strength[k] = max(1.0 + friction * more, p.load.least_strength)
-        load.strength_variance[k] = (spread * more) ** 2 + per_offset * uncertain + load.swing_variance
+        excess_load = 2.0 * load.normal[k] / weight - 1.0
+        load.strength[k] = max(1.0 + friction * excess_load, p.load.least_strength)
+        load.strength_variance[k] = (
+            (friction_stddev * excess_load) ** 2 + per_offset * offset_variance + load.swing_variance
+        )

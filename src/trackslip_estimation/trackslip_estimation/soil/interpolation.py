@@ -106,12 +106,12 @@ def new_interpolator(p: InterpolationParameters) -> Interpolator:
 
 
 @compiled
-def add_input(interpolator: Interpolator, given: SoilInputRecord) -> int:
+def add_input(interpolator: Interpolator, record: SoilInputRecord) -> int:
     """Queue an input; return ACCEPTED or why not (RESTARTED: the clock of the states went back)."""
-    source, rejection = given.source, check_input(given)
+    source, rejection = record.source, check_input(record)
     if rejection == ACCEPTED:
         rejection = _append_input(
-            interpolator.queues[source], interpolator.rows[source, :], interpolator.limits[0], given
+            interpolator.queues[source], interpolator.rows[source, :], interpolator.limits[0], record
         )
     if rejection == RESTARTED and source == IS_HYDRAULICS:
         return ACCEPTED
@@ -143,21 +143,21 @@ def pop_oldest(interpolator: Interpolator, p: InterpolationParameters, sample: S
 
 @compiled
 def _append_input(
-    queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, given: SoilInputRecord
+    queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, record: SoilInputRecord
 ) -> int:
     """Append an input to its queue; RESTARTED where the clock of its source went back."""
-    status = check_sample(queue.clock, limits, given.stamp_ns, queue.newest_ns, False)
+    status = check_sample(queue.clock, limits, record.stamp_ns, queue.newest_ns, False)
     if status == _BACK:
         queue.count, queue.clock.running = 0, False
-        check_sample(queue.clock, limits, given.stamp_ns, NEVER_NS, False)
+        check_sample(queue.clock, limits, record.stamp_ns, NEVER_NS, False)
     elif status != _IN_LINE:
         return AHEAD if status == _AHEAD else TOO_LATE
-    elif given.stamp_ns == queue.newest_ns:
+    elif record.stamp_ns == queue.newest_ns:
         return DUPLICATE
     if queue.count == _CAPACITY:
         _drop_first(queue)
-    copy_input(given, rows[_ring_index(queue, queue.count)])
-    queue.count, queue.newest_ns = queue.count + 1, given.stamp_ns
+    copy_input(record, rows[_ring_index(queue, queue.count)])
+    queue.count, queue.newest_ns = queue.count + 1, record.stamp_ns
     return RESTARTED if status == _BACK else ACCEPTED
 
 

@@ -96,7 +96,9 @@ class WatchParameters(Parameters):
 
 def reported_faults(watch: PressureWatch) -> tuple[PressureFault, ...]:
     """Return the faults that are reported at present."""
-    return tuple(fault for fault, named in zip(PressureFault, watch["is_reported"], strict=True) if named)
+    return tuple(
+        fault for fault, is_reported in zip(PressureFault, watch["is_reported"], strict=True) if is_reported
+    )
 
 
 @compiled
@@ -104,7 +106,7 @@ def evaluate_pressures(
     watch: PressureWatch, sample: Sample, p: WatchParameters, relief_pressure: float
 ) -> int:
     """Return the index of the fault that makes the pressures of a sample unusable, or NO_FAULT."""
-    found, likely_unit = NO_FAULT, _likely_unit(sample, p)
+    unusable, likely_unit = NO_FAULT, _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
         if fault == DROPPED:
             evidence = _AGAINST if sample.has_pressures else _FOR
@@ -121,13 +123,13 @@ def evaluate_pressures(
             evidence = _OPEN
         else:
             evidence = _FOR if fault == likely_unit else _AGAINST
-        if _accumulate_evidence(watch, fault, evidence, sample.dt, p) and found == NO_FAULT:
-            found = fault
+        if _accumulate_evidence(watch, fault, evidence, sample.dt, p) and unusable == NO_FAULT:
+            unusable = fault
     watch.has_reading = True
     watch.reading_ns = sample.reading_ns
     for k in range(2):
         watch.reading[k] = sample.reading[k]
-    return found
+    return unusable
 
 
 @compiled
@@ -153,8 +155,8 @@ def _stuck_evidence(watch: PressureWatch, fault: int, sample: Sample, p: WatchPa
     if sample.reading[side] != watch.reading[side]:
         watch.seconds[fault] = 0.0  # a changed reading refutes the fault
         return _OPEN
-    moves = abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed
-    return _FOR if moves else _OPEN
+    is_moving = abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed
+    return _FOR if is_moving else _OPEN
 
 
 @compiled
@@ -165,8 +167,8 @@ def _likely_unit(sample: Sample, p: WatchParameters) -> int:
     low in any. _RIGHT_UNIT: the pressure suffices; _OPEN: the machine does not drive.
     """
     left, right = abs(sample.tracks[0]), abs(sample.tracks[1])
-    drives = sample.motion == _STRAIGHT or sample.motion == _TURNING
-    if not (drives and left > p.least_speed and right > p.least_speed):
+    is_driving = sample.motion == _STRAIGHT or sample.motion == _TURNING
+    if not (is_driving and left > p.least_speed and right > p.least_speed):
         return _OPEN
     reading = 0.5 * (abs(sample.pressures[0]) + abs(sample.pressures[1]))
     if 2.0 * reading >= p.least_pressure:
@@ -193,8 +195,11 @@ def _swap_evidence(sample: Sample, p: WatchParameters) -> int:
     It slips more, forwards and in reverse. Nearly equal speeds at the start or end of a turn are no evidence:
     the pressures are transient.
     """
-    difference, faster = sample.pressures[1] - sample.pressures[0], sample.tracks[1] - sample.tracks[0]
-    turns = sample.motion == _TURNING and abs(faster) > p.least_speed
-    if not turns or abs(difference) < p.least_swap_difference:
+    difference, speed_difference = (
+        sample.pressures[1] - sample.pressures[0],
+        sample.tracks[1] - sample.tracks[0],
+    )
+    is_turning = sample.motion == _TURNING and abs(speed_difference) > p.least_speed
+    if not is_turning or abs(difference) < p.least_swap_difference:
         return _OPEN
-    return _FOR if difference * faster < 0.0 else _AGAINST
+    return _FOR if difference * speed_difference < 0.0 else _AGAINST

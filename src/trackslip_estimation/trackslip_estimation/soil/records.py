@@ -142,18 +142,18 @@ SoilInput: TypeAlias = Hydraulics | MachineState
 
 def inputs_from_estimates(estimates: NDArray[np.void]) -> Table[SoilInputRecord]:
     """Return inputs (n,) from (n,) of ``slip.records.ESTIMATE``, equal to those from live messages."""
-    found = make_table(SoilInputRecord, SOIL_INPUT, len(estimates))
-    found["source"] = IS_MACHINE_STATE
+    inputs = make_table(SoilInputRecord, SOIL_INPUT, len(estimates))
+    inputs["source"] = IS_MACHINE_STATE
     for name in ("stamp_ns", "twist", "twist_covariance", "pose", "pose_covariance", "slips", "motion"):
-        found[name] = estimates[name]
+        inputs[name] = estimates[name]
     tilt, swing = estimates["tilt"], estimates["swing"]
-    leans, swings = tilt["known"] == 1, swing["known"] == 1
+    has_tilt, has_swing = tilt["known"] == 1, swing["known"] == 1
     variances = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
-    found["tilt"] = np.where(leans[:, np.newaxis], tilt["tilt"][:, :2], 0.0)
-    found["tilt_variance"] = np.where(leans[:, np.newaxis], variances, 0.0)
-    found["swing"] = np.where(swings, swing["angle"], 0.0)
-    found["swing_variance"] = np.where(swings, swing["covariance"][:, 0, 0], math.inf)
-    return found
+    inputs["tilt"] = np.where(has_tilt[:, np.newaxis], tilt["tilt"][:, :2], 0.0)
+    inputs["tilt_variance"] = np.where(has_tilt[:, np.newaxis], variances, 0.0)
+    inputs["swing"] = np.where(has_swing, swing["angle"], 0.0)
+    inputs["swing_variance"] = np.where(has_swing, swing["covariance"][:, 0, 0], math.inf)
+    return inputs
 
 
 @compiled
@@ -197,20 +197,20 @@ ACCEPTED = -1
 
 
 @compiled
-def check_input(given: SoilInputRecord) -> int:
+def check_input(record: SoilInputRecord) -> int:
     """Return INVALID or OUT_OF_RANGE for an input that is either, else ACCEPTED."""
-    if given.source == IS_HYDRAULICS:
-        has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # unmeasured: never closed
-        of_spools = ACCEPTED if has_none else _check_numbers(given.spools, _LARGEST_SPOOL)
-        return _worse_result(_check_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
-    C, P = given.twist_covariance, given.pose_covariance
-    fault = _worse_result(_check_number(given.twist[0], _FASTEST), _check_number(given.twist[1], _FASTEST))
-    fault = _worse_result(fault, _check_number(given.twist[2], _FASTEST_TURN))
-    fault = _worse_result(fault, _check_numbers(given.pose, _FARTHEST))
-    fault = _worse_result(fault, _check_numbers(given.slips, _LARGEST_SLIP))
-    if given.swing_variance != math.inf:
-        fault = _worse_result(fault, _check_number(given.swing, _LARGEST_ANGLE))
-        fault = _worse_result(fault, _check_variance(given.swing_variance, _LARGEST_SWING_VARIANCE))
+    if record.source == IS_HYDRAULICS:
+        has_none = math.isnan(record.spools[0]) and math.isnan(record.spools[1])  # unmeasured: never closed
+        spool_fault = ACCEPTED if has_none else _check_numbers(record.spools, _LARGEST_SPOOL)
+        return _worse_result(_check_numbers(record.pressures, _LARGEST_PRESSURE), spool_fault)
+    C, P = record.twist_covariance, record.pose_covariance
+    fault = _worse_result(_check_number(record.twist[0], _FASTEST), _check_number(record.twist[1], _FASTEST))
+    fault = _worse_result(fault, _check_number(record.twist[2], _FASTEST_TURN))
+    fault = _worse_result(fault, _check_numbers(record.pose, _FARTHEST))
+    fault = _worse_result(fault, _check_numbers(record.slips, _LARGEST_SLIP))
+    if record.swing_variance != math.inf:
+        fault = _worse_result(fault, _check_number(record.swing, _LARGEST_ANGLE))
+        fault = _worse_result(fault, _check_variance(record.swing_variance, _LARGEST_SWING_VARIANCE))
     for k in range(3):
         fault = _worse_result(fault, _check_variance(C[k, k], _LARGEST_TWIST_VARIANCE))
         fault = _worse_result(fault, _check_variance(P[k, k], _LARGEST_POSE_VARIANCE))
@@ -218,8 +218,8 @@ def check_input(given: SoilInputRecord) -> int:
             fault = _worse_result(fault, _check_number(C[k, j], _LARGEST_TWIST_VARIANCE))
             fault = _worse_result(fault, _check_number(P[k, j], _LARGEST_POSE_VARIANCE))
     for k in range(2):
-        fault = _worse_result(fault, _check_number(given.tilt[k], _STEEPEST))
-        fault = _worse_result(fault, _check_variance(given.tilt_variance[k], _LARGEST_TILT_VARIANCE))
+        fault = _worse_result(fault, _check_number(record.tilt[k], _STEEPEST))
+        fault = _worse_result(fault, _check_variance(record.tilt_variance[k], _LARGEST_TILT_VARIANCE))
     if fault == ACCEPTED and not _is_covariance(C):
         return INVALID
     return fault
@@ -229,8 +229,8 @@ def check_input(given: SoilInputRecord) -> int:
 def _is_covariance(C: FloatArray) -> bool:
     """Whether the covariance of v_x and yaw rate is symmetric and positive semidefinite."""
     product = C[0, 0] * C[2, 2]
-    same = abs(C[0, 2] - C[2, 0]) <= _ROUNDING * math.sqrt(product)
-    return bool(same and C[0, 2] ** 2 <= product * (1.0 + _ROUNDING))
+    is_symmetric = abs(C[0, 2] - C[2, 0]) <= _ROUNDING * math.sqrt(product)
+    return bool(is_symmetric and C[0, 2] ** 2 <= product * (1.0 + _ROUNDING))
 
 
 @compiled

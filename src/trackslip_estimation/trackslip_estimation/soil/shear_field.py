@@ -114,14 +114,14 @@ def soil_path(tracks: FloatArray, x_e: FloatArray, dt: float) -> SoilPath:
             e = i if u >= 0.0 else n - 1 - i
             xi = (i + 0.5) * dx
             distance = min(abs(u) * dt, xi)
-            place = (xi - distance) / dx - 0.5  # in elements behind the first centre
-            first = max(math.floor(place), 0)
-            part = max(place - first, 0.0)
-            at = first if u >= 0.0 else n - 1 - first
-            path.place[k, e] = at
-            path.following[k, e] = at if part == 0.0 else (at + 1 if u >= 0.0 else at - 1)
+            position = (xi - distance) / dx - 0.5  # in elements behind the first centre
+            first = max(math.floor(position), 0)
+            part = max(position - first, 0.0)
+            front = first if u >= 0.0 else n - 1 - first
+            path.place[k, e] = front
+            path.following[k, e] = front if part == 0.0 else (front + 1 if u >= 0.0 else front - 1)
             path.part[k, e] = part
-            path.scale[k, e] = min(1.0, 2.0 * (place + 0.5))
+            path.scale[k, e] = min(1.0, 2.0 * (position + 0.5))
             path.time[k, e] = distance / abs(u) if distance == xi else dt
             path.middle[k, e] = x_e[e] + math.copysign(0.5 * distance, u)
     return path
@@ -171,8 +171,8 @@ def fill_mobilised_shares(
             middle = x_e[e] + math.copysign(0.5 * xi, u)
             j_x = j[k, e, 0] + error.along[k] * time
             j_y = j[k, e, 1] + (error.across[0] + error.across[1] * middle) * time
-            slid = math.hypot(j_x, j_y)
+            displacement = math.hypot(j_x, j_y)
             share = -s_x / max(math.hypot(s_x, s_y), LEAST_SLIDING) / n
             share *= max(1.0 + (rolling.lean + error.lean) * x_e[e], 0.0)
             for m in range(len(moduli)):
-                of_track[m] += share * mobilised_share(slid * per_modulus[m])
+                of_track[m] += share * mobilised_share(displacement * per_modulus[m])

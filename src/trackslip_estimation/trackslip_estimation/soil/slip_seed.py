@@ -82,14 +82,17 @@ class Seeder(Record):
     in_turn: StrengthRecord  # when straight motion began
 
 
-def set_strength(seeder: Seeder, found: StrengthSummary) -> None:
+def set_strength(seeder: Seeder, strength: StrengthSummary) -> None:
     """Set the strength of the newest soil state."""
     newest = seeder["newest"]
     for name in ("shear_modulus", "thrust_limit"):
-        newest[name], newest[f"{name}_interval"] = getattr(found, name), getattr(found, f"{name}_interval")
-    newest["effective_samples"] = found.effective_samples
-    largest = found.thrust_limit / math.exp(_log_stddev(found.thrust_limit_interval))
-    newest["largest_thrust"] = largest if found.identifiable else 0.0
+        newest[name], newest[f"{name}_interval"] = (
+            getattr(strength, name),
+            getattr(strength, f"{name}_interval"),
+        )
+    newest["effective_samples"] = strength.effective_samples
+    largest = strength.thrust_limit / math.exp(_log_stddev(strength.thrust_limit_interval))
+    newest["largest_thrust"] = largest if strength.identifiable else 0.0
 
 
 def make_seed(
@@ -106,9 +109,9 @@ def make_seed(
         identifiable=True,
         reason="",
     )
-    known = Thrust(thrust["force"], thrust["variance"])
+    measured = Thrust(thrust["force"], thrust["variance"])
     return SlipSeed(
-        int(sample["stamp_ns"]), *straight_slips(known, np.sign(sample["tracks"]), strength, p, length)
+        int(sample["stamp_ns"]), *straight_slips(measured, np.sign(sample["tracks"]), strength, p, length)
     )
 
 
@@ -122,9 +125,9 @@ def is_seed_due(seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SoilCon
         return False
     seeder.time += sample.dt
     seeder.distance += abs(0.5 * (sample.tracks[0] + sample.tracks[1])) * sample.dt
-    settled = seeder.time >= p.seed.settling_time
-    settled = settled and seeder.distance >= p.seed.settling_lengths * p.vehicle.contact_length
-    if not (seeder.is_due and settled and thrust.is_known):
+    is_settled = seeder.time >= p.seed.settling_time
+    is_settled = is_settled and seeder.distance >= p.seed.settling_lengths * p.vehicle.contact_length
+    if not (seeder.is_due and is_settled and thrust.is_known):
         return False
     for k in range(2):
         stddev = math.sqrt(thrust.variance[k] + p.seed.thrust_stddev**2)
@@ -155,17 +158,21 @@ def straight_slips(
     """
     force, stddev = thrust.force * direction, np.sqrt(thrust.variance + p.thrust_stddev**2)
     limit, modulus = soil.thrust_limit, soil.shear_modulus
-    of_limit = math.exp(_log_stddev(soil.thrust_limit_interval))
+    limit_ratio = math.exp(_log_stddev(soil.thrust_limit_interval))
 
     def slips(forces: FloatArray, largest: float) -> FloatArray:
         return slip_of_thrust(forces, largest, modulus, length)
 
-    found = slips(force, limit)
-    by_limit = (slips(force, limit / of_limit) - slips(force, limit * of_limit)) / 2.0
-    by_force = (slips(force + stddev, limit) - slips(force - stddev, limit)) / 2.0
-    of_both = _log_stddev(soil.shear_modulus_interval) ** 2 + p.share_stddev**2
-    covariance = of_both * np.outer(found, found) + np.outer(by_limit, by_limit) + np.diag(by_force**2)
-    return found, covariance
+    mean = slips(force, limit)
+    limit_error = (slips(force, limit / limit_ratio) - slips(force, limit * limit_ratio)) / 2.0
+    force_error = (slips(force + stddev, limit) - slips(force - stddev, limit)) / 2.0
+    relative_variance = _log_stddev(soil.shear_modulus_interval) ** 2 + p.share_stddev**2
+    covariance = (
+        relative_variance * np.outer(mean, mean)
+        + np.outer(limit_error, limit_error)
+        + np.diag(force_error**2)
+    )
+    return mean, covariance
 
 
 def _log_stddev(interval: tuple[float, float]) -> float:

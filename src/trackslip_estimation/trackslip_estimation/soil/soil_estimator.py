@@ -62,8 +62,8 @@ class SoilOutputs(NamedTuple):
 
     def in_order(self) -> list[SoilOutput]:
         """Return all outputs, sorted by stamp."""
-        found: list[SoilOutput] = [*self.states, *map(_to_track_forces, self.forces), *self.seeds]
-        return sorted(found, key=attrgetter("stamp_ns"))
+        outputs: list[SoilOutput] = [*self.states, *map(_to_track_forces, self.forces), *self.seeds]
+        return sorted(outputs, key=attrgetter("stamp_ns"))
 
 
 class SoilEstimator:
@@ -92,8 +92,8 @@ class SoilEstimator:
         """Numbers of unused inputs and pressures, by source and reason."""
         tally = Tally()
         faults = zip((*PressureFault, *UnusedReason), self._state.faults.tolist(), strict=True)
-        found = [(HYDRAULICS, fault, count) for fault, count in faults]
-        for source, reason, count in (*self._state.interpolator.counts(), *found):
+        fault_counts = [(HYDRAULICS, fault, count) for fault, count in faults]
+        for source, reason, count in (*self._state.interpolator.counts(), *fault_counts):
             if count:
                 tally.add(source, reason, count)
         return tally
@@ -101,7 +101,7 @@ class SoilEstimator:
     @property
     def faults(self) -> tuple[PressureFault, ...]:
         """Faults of the pressures that are reported at present."""
-        return reported_faults(self._known["watch"])
+        return reported_faults(self._estimator["watch"])
 
     @property
     def strength(self) -> StrengthSummary:
@@ -111,75 +111,82 @@ class SoilEstimator:
     @property
     def volumetric_efficiency(self) -> float | None:
         """η_V from spools and speeds, for diagnostics; None while unknown."""
-        efficiency = float(self._known["volumetric_efficiency"])
+        efficiency = float(self._estimator["volumetric_efficiency"])
         return None if math.isnan(efficiency) else efficiency
 
     @property
-    def is_stuck(self) -> tuple[bool, bool]:
+    def stuck(self) -> tuple[bool, bool]:
         """Whether the left and the right track are getting stuck: spinning at the limit of the soil."""
-        left, right = self._known["spinning"] >= self.parameters.stuck_time
+        left, right = self._estimator["spinning"] >= self.parameters.stuck_time
         return bool(left), bool(right)
 
     @property
     def stalled(self) -> tuple[bool, bool]:
         """Whether the left and the right track are commanded and under pressure, but do not turn."""
-        left, right = self._known["stalled"] >= self.parameters.stall.time
+        left, right = self._estimator["stalled"] >= self.parameters.stall.time
         return bool(left), bool(right)
 
     @property
-    def _known(self) -> step.EstimatorState:
-        return self._state.known[0]
+    def _estimator(self) -> step.EstimatorState:
+        return self._state.estimator[0]
 
-    def advance(self, given: SoilInput) -> list[SoilOutput]:
+    def advance(self, soil_input: SoilInput) -> list[SoilOutput]:
         """Process one input; return its outputs in the order of the stamps."""
-        given.write_to(self._one[0])
+        soil_input.write_to(self._one[0])
         return [output for outputs in self.advance_all(self._one) for output in outputs.in_order()]
 
     def advance_all(self, inputs: NDArray[np.void]) -> Iterator[SoilOutputs]:
         """Process (n,) of ``SOIL_INPUT`` in their order; yield the outputs in parts of bounded size."""
-        given, reason, processed = cast("Table[SoilInputRecord]", inputs), step.OPEN, 0
+        table, reason, processed = cast("Table[SoilInputRecord]", inputs), step.OPEN, 0
         while reason != step.PROCESSED:
-            reason, processed, count = step.advance(self._state, given, processed, self._config)
+            reason, processed, count = step.advance(self._state, table, processed, self._config)
             if count:
                 yield SoilOutputs(self._state.forces[:count].copy())
             if reason == step.OPEN:
-                yield from self._finish_sample(self._known)
+                yield from self._finish_sample(self._estimator)
             elif reason in (step.RESTART, step.DIVERGED):
                 self._restart()
 
     def _restart(self) -> None:
         """Reset all estimates, also the transducers' offsets: the elapsed time is unknown."""
-        self._state.known[:] = step.initial_state(self.parameters)
+        self._state.estimator[:] = step.initial_state(self.parameters)
         self._posterior.reset()
         self.restarts += 1
 
-    def _finish_sample(self, known: step.EstimatorState) -> Iterator[SoilOutputs]:
+    def _finish_sample(self, estimator: step.EstimatorState) -> Iterator[SoilOutputs]:
         """Do what is not compiled: update the posterior; yield a seed and the soil state if due."""
-        posterior, gathered = self._posterior, known["gathered"]
+        posterior, gathered = self._posterior, estimator["gathered"]
         if gathered == COMPLETE:
-            posterior.update(known["average"])
-            clear_average(known["average"])
-            known["effective_samples"] = posterior.effective_samples
+            posterior.update(estimator["average"])
+            clear_average(estimator["average"])
+            estimator["effective_samples"] = posterior.effective_samples
         elif gathered == BROKEN:
             posterior.break_segment()
         elif gathered == LOST:
             posterior.reset_displacement()
         nothing, p = self._state.forces[:0], self.parameters
-        if known["seed_due"]:
+        if estimator["seed_due"]:
             seed = make_seed(
-                known["seeder"], known["sample"], known["thrust"], p.seed, p.vehicle.kinematics.contact_length
+                estimator["seeder"],
+                estimator["sample"],
+                estimator["thrust"],
+                p.seed,
+                p.vehicle.kinematics.contact_length,
             )
             yield SoilOutputs(nothing, seeds=[seed])
-        if known["soil_due"]:
-            state = self._soil_state(known)
-            set_strength(known["seeder"], state.strength)
+        if estimator["soil_due"]:
+            state = self._soil_state(estimator)
+            set_strength(estimator["seeder"], state.strength)
             self._state.limit_probabilities[:] = posterior.grid.limit_probabilities(posterior.cells)
             yield SoilOutputs(nothing, [state])
 
-    def _soil_state(self, known: step.EstimatorState) -> SoilState:
-        (mu_r, mu_l), (mu_r_variance, mu_l_variance) = known["mu"].tolist(), known["mu_variance"].tolist()
+    def _soil_state(self, estimator: step.EstimatorState) -> SoilState:
+        (mu_r, mu_l), (mu_r_variance, mu_l_variance) = (
+            estimator["mu"].tolist(),
+            estimator["mu_variance"].tolist(),
+        )
         classes = self._classes.probabilities(self._posterior.cells)
-        stamp_ns = int(known["sample"]["stamp_ns"])
+        stamp_ns = int(estimator["sample"]["stamp_ns"])
         return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self.strength, classes)
 
 

@@ -78,7 +78,7 @@ class SoilEstimatorParameters(SoilNumbers, ParametersWithVehicle):
         """Return these parameters with other values, by dotted names.
 
         Raises:
-            InputError: a name is unknown or a value refused.
+            InputError: a name is unknown or a value is rejected.
         """
         return from_flat(type(self), self.overlay(to_flat(self), values), NODE)
 
@@ -106,6 +106,6 @@ def load_soil_parameters(*layers: Mapping[str, Any]) -> SoilEstimatorParameters:
     """Return the defaults of ``config/``, overridden by layers of dotted names; the last layer has priority.
 
     Raises:
-        InputError: a name is unknown or a value refused.
+        InputError: a name is unknown or a value is rejected.
     """
     return load_parameters(SoilEstimatorParameters, NODE, DEFAULT_FILES, *layers)

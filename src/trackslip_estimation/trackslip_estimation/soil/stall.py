@@ -61,14 +61,14 @@ def stall_time(before: float, sample: Sample, side: int, p: StallParameters, rel
     spool = sample.spools[side] if sample.has_pressures else 0.0
     if not abs(spool) >= p.least_spool:  # not commanded, or unknown
         return 0.0
-    pushed = sample.pressures[side] * (1.0 if spool > 0.0 else -1.0) >= p.least_pressure * relief_pressure
-    return evidence_time(before, pushed and abs(sample.tracks[side]) < p.least_speed, sample.dt, p.time)
+    is_pushed = sample.pressures[side] * (1.0 if spool > 0.0 else -1.0) >= p.least_pressure * relief_pressure
+    return evidence_time(before, is_pushed and abs(sample.tracks[side]) < p.least_speed, sample.dt, p.time)
 
 
 @compiled
-def evidence_time(before: float, seen: bool, dt: float, needed: float) -> float:
-    """Return the evidence, s: raised by ``dt`` if seen, else lowered; between 0 and twice ``needed``."""
-    return min(max(before + (dt if seen else -dt), 0.0), 2.0 * needed)
+def evidence_time(before: float, holds: bool, dt: float, time: float) -> float:
+    """Return the evidence, s: raised by ``dt`` if the condition holds, else lowered; up to twice ``time``."""
+    return min(max(before + (dt if holds else -dt), 0.0), 2.0 * time)
 
 
 @compiled

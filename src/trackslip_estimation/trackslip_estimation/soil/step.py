@@ -110,7 +110,7 @@ ESTIMATOR_STATE = dtype_of(EstimatorState)
 class LoopState(NamedTuple):
     """Data of the loop, of constant size."""
 
-    known: Table[EstimatorState]  # (1,)
+    estimator: Table[EstimatorState]  # (1,)
     faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and UnusedReason
     interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
@@ -137,12 +137,15 @@ def new_loop_state(p: SoilEstimatorParameters, limits: FloatArray) -> LoopState:
 
 def initial_state(p: SoilEstimatorParameters) -> Table[EstimatorState]:
     """Return the state (1,) before the first sample."""
-    known, motor = make_table(EstimatorState, ESTIMATOR_STATE, 1), motor_of(p.vehicle.whole())
-    known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
-    known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
-    known["centre"], known["bucket_load"] = new_gravity_centre(p.vehicle), new_bucket_load(p.vehicle.whole())
-    known["volumetric_efficiency"] = np.nan
-    return known
+    estimator, motor = make_table(EstimatorState, ESTIMATOR_STATE, 1), motor_of(p.vehicle.whole())
+    estimator["motor"], estimator["thrust"] = motor, unknown_thrust(motor[0])
+    estimator["offsets"], estimator["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
+    estimator["centre"], estimator["bucket_load"] = (
+        new_gravity_centre(p.vehicle),
+        new_bucket_load(p.vehicle.whole()),
+    )
+    estimator["volumetric_efficiency"] = np.nan
+    return estimator
 
 
 @compiled
@@ -150,92 +153,102 @@ def advance(
     state: LoopState, inputs: Table[SoilInputRecord], first: int, config: Table[SoilConfig]
 ) -> LoopResult:
     """Process inputs (n,) from index ``first`` on until none is left or the caller must act."""
-    p, known, interpolator = config[0], state.known[0], state.interpolator
-    known.forces = 0
+    p, estimator, interpolator = config[0], state.estimator[0], state.interpolator
+    estimator.forces = 0
     while True:
-        while known.is_open or interpolation.is_ready(interpolator, p.moments):
-            if known.forces == len(state.forces):
-                return LoopResult(FULL, first, known.forces)
-            if not known.is_open:
-                interpolation.pop_oldest(interpolator, p.moments, known.sample)
-                _step(known, state.faults, p)
-                if not _is_finite(known):
+        while estimator.is_open or interpolation.is_ready(interpolator, p.moments):
+            if estimator.forces == len(state.forces):
+                return LoopResult(FULL, first, estimator.forces)
+            if not estimator.is_open:
+                interpolation.pop_oldest(interpolator, p.moments, estimator.sample)
+                _step(estimator, state.faults, p)
+                if not _is_finite(estimator):
                     interpolator.rejected[IS_MACHINE_STATE, REJECTED_DIVERGED] += 1
-                    return LoopResult(DIVERGED, first, known.forces)
-                known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
-                if known.is_open:
-                    return LoopResult(OPEN, first, known.forces)
-            known.is_open = False
-            if known.forces_due:
-                _publish_forces(state, p)
+                    return LoopResult(DIVERGED, first, estimator.forces)
+                estimator.is_open = (
+                    estimator.gathered != GATHERING or estimator.soil_due or estimator.seed_due
+                )
+                if estimator.is_open:
+                    return LoopResult(OPEN, first, estimator.forces)
+            estimator.is_open = False
+            if estimator.forces_due:
+                _append_forces(state, p)
         if first == len(inputs):
-            return LoopResult(PROCESSED, first, known.forces)
+            return LoopResult(PROCESSED, first, estimator.forces)
         first += 1
         if interpolation.add_input(interpolator, inputs[first - 1]) == RESTARTED:
-            return LoopResult(RESTART, first, known.forces)
+            return LoopResult(RESTART, first, estimator.forces)
 
 
 @compiled
-def _step(known: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
+def _step(estimator: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
     """Process the current sample."""
-    sample = known.sample
-    before_ns = known.newest_ns if known.has_begun else sample.stamp_ns
-    known.has_begun, known.newest_ns = True, sample.stamp_ns
+    sample = estimator.sample
+    before_ns = estimator.newest_ns if estimator.has_begun else sample.stamp_ns
+    estimator.has_begun, estimator.newest_ns = True, sample.stamp_ns
     sample.dt = (sample.stamp_ns - before_ns) * 1e-9
     left, right = frame_speeds(sample.twist, p.vehicle.tread)
     sample.tracks[0], sample.tracks[1] = (
         track_speed(left, sample.slips[0]),
         track_speed(right, sample.slips[1]),
     )
-    fault = pressure_watch.evaluate_pressures(known.watch, sample, p.watch, p.vehicle.relief_pressure)
+    fault = pressure_watch.evaluate_pressures(estimator.watch, sample, p.watch, p.vehicle.relief_pressure)
     is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
-    set_ground_load(known.load, known.centre, sample, p)
-    is_level = abs(known.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
+    set_ground_load(estimator.load, estimator.centre, sample, p)
+    is_level = abs(estimator.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
     is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
-    if update_offsets(known.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
+    if update_offsets(estimator.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
         faults[_AT_REST] += 1
-    update_bucket_load(known.bucket_load, sample, p.load)
+    update_bucket_load(estimator.bucket_load, sample, p.load)
     if fault == NO_FAULT:
-        _measure_thrusts(known, sample, p)
+        _measure_thrusts(estimator, sample, p)
     else:
-        faults[fault if known.watch.is_reported[fault] or fault == DROPPED else _BRIEF] += 1
-        hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
+        faults[fault if estimator.watch.is_reported[fault] or fault == DROPPED else _BRIEF] += 1
+        hold_thrust(estimator.thrust, sample.dt, p.thrust, estimator.motor)
     for k in range(2):
-        known.stalled[k] = stall_time(known.stalled[k], sample, k, p.stall, p.vehicle.relief_pressure)
-    dynamics.step(known.dynamics, sample, known.thrust, known.load, p)
+        estimator.stalled[k] = stall_time(estimator.stalled[k], sample, k, p.stall, p.vehicle.relief_pressure)
+    dynamics.step(estimator.dynamics, sample, estimator.thrust, estimator.load, p)
     for k in range(2):
-        mean, variance = known.dynamics.mean[MU_R + k], known.dynamics.covariance[MU_R + k, MU_R + k]
-        known.mu[k], known.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
-    normal = known.load.normal[0] + known.load.normal[1]
-    of_pull = known.load.pull_variance + (p.thrust.efficiency_stddev * known.load.pull) ** 2
-    of_pull += bucket_load_variance(known.bucket_load, known.mu[0] * normal - known.load.pull, p.load)
-    known.mu_variance[0] += of_pull / max(normal, 1.0) ** 2  # time-correlated, so not averaged by the filter
-    known.gathered = add_sample(known.average, sample, known.thrust, known.load, p.strength)
-    known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
-    known.soil_due = _is_due(before_ns, sample.stamp_ns, p.soil_period)
-    known.forces_due = _is_due(before_ns, sample.stamp_ns, p.forces_period)
+        mean, variance = estimator.dynamics.mean[MU_R + k], estimator.dynamics.covariance[MU_R + k, MU_R + k]
+        estimator.mu[k], estimator.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
+    normal = estimator.load.normal[0] + estimator.load.normal[1]
+    pull_variance = estimator.load.pull_variance + (p.thrust.efficiency_stddev * estimator.load.pull) ** 2
+    pull_variance += bucket_load_variance(
+        estimator.bucket_load, estimator.mu[0] * normal - estimator.load.pull, p.load
+    )
+    # time-correlated, so not averaged by the filter
+    estimator.mu_variance[0] += pull_variance / max(normal, 1.0) ** 2
+    estimator.gathered = add_sample(estimator.average, sample, estimator.thrust, estimator.load, p.strength)
+    estimator.seed_due = is_seed_due(estimator.seeder, sample, estimator.thrust, p)
+    estimator.soil_due = _is_due(before_ns, sample.stamp_ns, p.soil_period)
+    estimator.forces_due = _is_due(before_ns, sample.stamp_ns, p.forces_period)
 
 
 @compiled
-def _is_finite(known: EstimatorState) -> bool:
+def _is_finite(estimator: EstimatorState) -> bool:
     """Whether the estimates that the next sample depends on are finite."""
-    total = known.thrust.force.sum() + known.thrust.variance.sum() + known.offsets.mean.sum()
-    total += known.offsets.variance.sum() + known.mu.sum() + known.mu_variance.sum()
-    total += known.dynamics.mean.sum() + known.dynamics.covariance.sum()
+    total = estimator.thrust.force.sum() + estimator.thrust.variance.sum() + estimator.offsets.mean.sum()
+    total += estimator.offsets.variance.sum() + estimator.mu.sum() + estimator.mu_variance.sum()
+    total += estimator.dynamics.mean.sum() + estimator.dynamics.covariance.sum()
     return bool(math.isfinite(total))
 
 
 @compiled
-def _measure_thrusts(known: EstimatorState, sample: Sample, p: SoilConfig) -> None:
+def _measure_thrusts(estimator: EstimatorState, sample: Sample, p: SoilConfig) -> None:
     """Measure the thrusts from plausible pressures and, in straight motion, η_V."""
     speeds = np.empty(2)  # of the sprockets, rad/s
     for k in range(2):
         speeds[k] = sample.tracks[k] / p.vehicle.rolling_radius
     if sample.motion == _STRAIGHT:
-        known.volumetric_efficiency = volumetric_efficiency(
-            known.volumetric_efficiency, sample.spools, speeds, known.motor.full_flow_speed, sample.dt, p.flow
+        estimator.volumetric_efficiency = volumetric_efficiency(
+            estimator.volumetric_efficiency,
+            sample.spools,
+            speeds,
+            estimator.motor.full_flow_speed,
+            sample.dt,
+            p.flow,
         )
-    measure_thrust(known.thrust, sample.pressures, speeds, known.offsets, p.thrust, known.motor)
+    measure_thrust(estimator.thrust, sample.pressures, speeds, estimator.offsets, p.thrust, estimator.motor)
 
 
 @compiled
@@ -246,31 +259,35 @@ def _is_due(before_ns: int, now_ns: int, period: float) -> bool:
 
 
 @compiled
-def _publish_forces(state: LoopState, p: SoilConfig) -> None:
+def _append_forces(state: LoopState, p: SoilConfig) -> None:
     """Append the forces of the current sample; update the evidence of spinning."""
-    known = state.known[0]
-    sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
-    known.forces += 1
+    estimator = state.estimator[0]
+    sample, thrust, forces = estimator.sample, estimator.thrust, state.forces[estimator.forces]
+    estimator.forces += 1
     forces.stamp_ns = sample.stamp_ns
-    mu_r, variance = known.mu[0], known.mu_variance[0]
+    mu_r, variance = estimator.mu[0], estimator.mu_variance[0]
     for k, sign in enumerate(dynamics.expected_signs(sample.twist, sample.twist_covariance, p)):
         force = thrust.force[k]
         forces.thrust[k] = force
         forces.thrust_variance[k] = thrust.variance[k] + (p.thrust.efficiency_stddev * force) ** 2
-        normal, strength = known.load.normal[k], known.load.strength[k]
+        normal, strength = estimator.load.normal[k], estimator.load.strength[k]
         forces.resistance[k] = normal * mu_r * sign
         forces.resistance_variance[k] = normal**2 * (variance * sign**2 + mu_r**2 * (1.0 - sign**2))
-        spread = forces.thrust_variance[k] + (force / strength) ** 2 * known.load.strength_variance[k]
-        reserve = _reserve(state, force / strength, spread / strength**2, p)
+        thrust_variance = (
+            forces.thrust_variance[k] + (force / strength) ** 2 * estimator.load.strength_variance[k]
+        )
+        reserve = _reserve(state, force / strength, thrust_variance / strength**2, p)
         forces.reserve[k] = reserve.share
-        spins = sample.slips[k] > p.high_slip and reserve.exhausted > p.stuck_probability
-        known.spinning[k] = evidence_time(known.spinning[k], spins, p.forces_period, p.stuck_time)
-        forces.trouble[k] = track_condition(known.stalled[k], known.spinning[k], p)
+        is_spinning = sample.slips[k] > p.high_slip and reserve.exhausted > p.stuck_probability
+        estimator.spinning[k] = evidence_time(
+            estimator.spinning[k], is_spinning, p.forces_period, p.stuck_time
+        )
+        forces.trouble[k] = track_condition(estimator.stalled[k], estimator.spinning[k], p)
 
 
 @compiled
 def _reserve(state: LoopState, force: float, variance: float, p: SoilConfig) -> Reserve:
     """Return the reserve of a track with F_max of the newest soil state; nan before one effective sample."""
-    if state.known[0].effective_samples < 1.0:
+    if state.estimator[0].effective_samples < 1.0:
         return Reserve(math.nan, 0.0)
     return thrust_reserve(force, variance, state.limits, state.limit_probabilities, 1.0 - p.low_reserve)

@@ -39,7 +39,7 @@ from trackslip_estimation.soil.shear_field import (
 _MODULI, _LIMITS = 12, 9  # hypotheses: λ is nearly linear in K and in 1/F_max between them
 _MOST_SLIP = 0.4  # bound of the slip, for thrusts beyond the strength of a hypothesis
 _THRUST_TOLERANCE, _SLIP_TOLERANCE = 1e-3, 1e-5  # tolerances of q_L + q_R and of a slip
-_ITERATIONS = 40  # iterations; about ten are needed
+_ITERATIONS = 40  # about ten are needed
 
 
 class Soils(NamedTuple):
@@ -152,14 +152,16 @@ def drive_hypotheses(
     forward = math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1])
     for a in range(slips.shape[0]):
         for b in range(slips.shape[1]):
-            own, requested = j[a, b], forward * thrust / soils.limits[b]
+            displacement, thrust_share = j[a, b], forward * thrust / soils.limits[b]
             for k in range(2):
                 for e in range(n):
                     s_y = rolling.twist[1] + rolling.twist[2] * path.middle[k, e]
-                    terms.before[k, e] = displacement_before(own, path, k, e, 0)
-                    terms.across[k, e] = displacement_before(own, path, k, e, 1) + s_y * path.time[k, e]
-            slip = _needed_slip(requested, terms, rolling, half_tread, soils.moduli[a])
-            _update_displacement(own, slip, terms, rolling, half_tread)
+                    terms.before[k, e] = displacement_before(displacement, path, k, e, 0)
+                    terms.across[k, e] = (
+                        displacement_before(displacement, path, k, e, 1) + s_y * path.time[k, e]
+                    )
+            slip = _needed_slip(thrust_share, terms, rolling, half_tread, soils.moduli[a])
+            _update_displacement(displacement, slip, terms, rolling, half_tread)
             slips[a, b] = slip
     return slips
 
@@ -184,10 +186,10 @@ def _mobilised_thrust(
         s_y, shares = terms.s_y[k], terms.shares[k]
         for e in range(n):
             j_x = before[e] + s_x * time[e]
-            slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), LARGEST_DISPLACEMENT)
+            displacement = min(math.sqrt(j_x * j_x + across[e] * across[e]), LARGEST_DISPLACEMENT)
             sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), LEAST_SLIDING)
             shares[e] = np.divide(
-                terms.strength[e] * mobilised_share(slid * per_modulus), sliding
+                terms.strength[e] * mobilised_share(displacement * per_modulus), sliding
             )  # no check for 0
         for e in range(n):
             total -= s_x * shares[e]
@@ -196,24 +198,24 @@ def _mobilised_thrust(
 
 @compiled
 def _needed_slip(
-    requested: float, terms: _ThrustTerms, rolling: Rolling, half_tread: float, modulus: float
+    thrust_share: float, terms: _ThrustTerms, rolling: Rolling, half_tread: float, modulus: float
 ) -> float:
-    """Return the mean slip, within ±_MOST_SLIP, at which ``_mobilised_thrust`` is ``requested``.
+    """Return the mean slip, within ±_MOST_SLIP, at which ``_mobilised_thrust`` is ``thrust_share``.
 
     Thrust rises with slip, so false position (Illinois) converges to it, or to the step of the thrust at
     slip 0 where the soil is sheared already.
     """
     low, high = -_MOST_SLIP, _MOST_SLIP
-    f_low = _mobilised_thrust(low, terms, rolling, half_tread, modulus) - requested
+    f_low = _mobilised_thrust(low, terms, rolling, half_tread, modulus) - thrust_share
     if f_low >= 0.0:
         return low
-    f_high = _mobilised_thrust(high, terms, rolling, half_tread, modulus) - requested
+    f_high = _mobilised_thrust(high, terms, rolling, half_tread, modulus) - thrust_share
     if f_high <= 0.0:
         return high
     slip, was_low, was_high = high, False, False
     for _ in range(_ITERATIONS):
         slip = (low * f_high - high * f_low) / (f_high - f_low)
-        f = _mobilised_thrust(slip, terms, rolling, half_tread, modulus) - requested
+        f = _mobilised_thrust(slip, terms, rolling, half_tread, modulus) - thrust_share
         if abs(f) < _THRUST_TOLERANCE or high - low < _SLIP_TOLERANCE:
             break
         if f < 0.0:

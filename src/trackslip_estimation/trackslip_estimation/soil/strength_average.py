@@ -112,8 +112,8 @@ def _accumulate(average: Average, sample: Sample, thrust: ThrustRecord, load: Gr
         force = thrust.force[k] / load.strength[k]
         average.tracks[k] += dt * sample.tracks[k]
         average.force[k] += dt * (force if thrust.is_known else math.nan)
-        spread = thrust.variance[k] + force**2 * load.strength_variance[k]
-        average.variance[k] += dt * spread / load.strength[k] ** 2
+        variance = thrust.variance[k] + force**2 * load.strength_variance[k]
+        average.variance[k] += dt * variance / load.strength[k] ** 2
         average.swing_variance[k] += dt * (force / load.strength[k]) ** 2 * load.swing_variance
     for i in range(3):
         average.twist[i] += dt * sample.twist[i]
@@ -135,8 +135,10 @@ def _finish_average(average: Average, sample: Sample) -> None:
         average.force[k] /= dt
         average.variance[k] /= dt
         average.swing_variance[k] /= dt
-        likely = 0.0 < average.variance[k] < _LARGEST_THRUST**2 and abs(average.force[k]) < _LARGEST_THRUST
-        if not likely:
+        is_plausible = (
+            0.0 < average.variance[k] < _LARGEST_THRUST**2 and abs(average.force[k]) < _LARGEST_THRUST
+        )
+        if not is_plausible:
             average.force[k] = math.nan
     for i in range(3):
         average.twist[i] /= dt

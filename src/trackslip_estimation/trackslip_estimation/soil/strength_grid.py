@@ -25,8 +25,8 @@ class StrengthGrid:
         self.limit_edges = _log_edges(lowest, highest, p.limit_cells)
         self.log_moduli, self.log_limits = _centres(self.modulus_edges), _centres(self.limit_edges)
         self.moduli, self.limits = np.exp(self.log_moduli), np.exp(self.log_limits)  # m, N; ascending
-        correlated = p.slip_bias_stddev * vehicle.contact_length / self.moduli
-        self._spread_moduli = _error_matrix(self.log_moduli, correlated)
+        modulus_stddevs = p.slip_bias_stddev * vehicle.contact_length / self.moduli
+        self._spread_moduli = _error_matrix(self.log_moduli, modulus_stddevs)
         self._spread_limits = _error_matrix(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
 
     @property

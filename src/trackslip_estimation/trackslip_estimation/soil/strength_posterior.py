@@ -94,10 +94,10 @@ class StrengthPosterior:
                 self._segment.set_end(pose, stretch, stretch_stddev)
             return SampleOutcome.STANDING
         thrust = float(now["force"].sum())
-        straight = now["motion"] == Motion.STRAIGHT and math.isfinite(thrust)
-        outcome = SampleOutcome.GATHERED if straight and not self._halted else self._evaluate_segment()
+        is_straight = now["motion"] == Motion.STRAIGHT and math.isfinite(thrust)
+        outcome = SampleOutcome.GATHERED if is_straight and not self._halted else self._evaluate_segment()
         self._halted = False
-        if straight:
+        if is_straight:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
             self._segment.add(dt, rolling, thrust, float(now["lean_stddev"]))
             self._segment.set_end(pose, stretch, stretch_stddev)
@@ -109,8 +109,8 @@ class StrengthPosterior:
         """Update with the slips and thrusts of a turn."""
         p, tracks, shared = self.parameters, rolling.tracks, self._shared_samples()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)
-        known = int(np.isfinite(force).sum())
-        if not known:
+        count = int(np.isfinite(force).sum())
+        if not count:
             return SampleOutcome.GATHERED
         turn = Turn(
             self._displacement,
@@ -124,7 +124,7 @@ class StrengthPosterior:
         squares = squared_distances(
             thrust_curves(turn, self._contact, self.grid.moduli), turn, self.grid.limits
         )
-        self._update_cells(squares, known, min(float(now["dt"]) / p.correlation_time, 1.0))
+        self._update_cells(squares, count, min(float(now["dt"]) / p.correlation_time, 1.0))
         return SampleOutcome.USED
 
     def _evaluate_segment(self) -> SampleOutcome:
@@ -132,22 +132,22 @@ class StrengthPosterior:
         p, segment, self._segment = self.parameters, self._segment, None
         if segment is None or segment.track_distance < p.shortest_straight:
             return SampleOutcome.GATHERED
-        lost = segment.slip_distance()
-        if abs(lost.measured) > p.most_straight_slip * segment.track_distance:
+        slip_distance = segment.slip_distance()
+        if abs(slip_distance.measured) > p.most_straight_slip * segment.track_distance:
             return SampleOutcome.GATHERED  # spinning tracks are at the limit of the soil: independent of K
         bias = p.slip_bias_stddev * segment.track_distance
-        correlated = bias**2 + lost.of_lean**2
-        variance = lost.variance + p.distance_stddev**2 + self._shared_samples() * correlated
-        self._update_cells((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)
+        correlated = bias**2 + slip_distance.of_lean**2
+        variance = slip_distance.variance + p.distance_stddev**2 + self._shared_samples() * correlated
+        self._update_cells((slip_distance.measured - slip_distance.expected) ** 2 / variance, 1, 1.0)
         return SampleOutcome.USED
 
     def _covariance_root(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
         """Return the upper triangular root of the twist's covariance, with least variances and slip bias."""
         p = self.parameters
-        own = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
+        least_variances = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
         slip = p.slip_bias_stddev * float(np.abs(tracks).mean())
-        correlated = np.square((slip, 0.0, slip / self._contact.half_tread))
-        whole = covariance + np.diag(own + self._shared_samples() * correlated)
+        bias_variances = np.square((slip, 0.0, slip / self._contact.half_tread))
+        whole = covariance + np.diag(least_variances + self._shared_samples() * bias_variances)
         return np.ascontiguousarray(np.linalg.cholesky(whole[::-1, ::-1])[::-1, ::-1])
 
     def _shared_samples(self) -> float:
@@ -158,10 +158,10 @@ class StrengthPosterior:
         """
         return 1.0 + min(self.effective_samples, self.parameters.correlated_samples)
 
-    def _update_cells(self, squares: FloatArray, known: int, weight: float) -> None:
-        """Update by the Student-t likelihood of ``squares`` (moduli, limits), of ``known`` measurements."""
+    def _update_cells(self, squares: FloatArray, count: int, weight: float) -> None:
+        """Update by the Student-t likelihood of ``squares`` (moduli, limits), of ``count`` measurements."""
         degrees = self.parameters.degrees_of_freedom
-        log = -0.5 * (degrees + known) * np.log1p(squares / degrees)
+        log = -0.5 * (degrees + count) * np.log1p(squares / degrees)
         self._bayes_update(np.exp(weight * (log - log.max())), weight, 0.0)
 
     def _bayes_update(self, likelihood: FloatArray, weight: float, change: float) -> None:
@@ -181,9 +181,9 @@ def _bayes_update(
     replaced, total, aged = change / cells.size, 0.0, 0.0
     for a in range(cells.shape[0]):
         for b in range(cells.shape[1]):
-            kept = (1.0 - change) * cells[a, b] * likelihood[a, b]
-            cells[a, b] = kept + replaced * likelihood[a, b]
-            age[a, b] = age[a, b] * np.divide(kept, max(cells[a, b], _LEAST_PROBABILITY)) + weight
+            unchanged = (1.0 - change) * cells[a, b] * likelihood[a, b]
+            cells[a, b] = unchanged + replaced * likelihood[a, b]
+            age[a, b] = age[a, b] * np.divide(unchanged, max(cells[a, b], _LEAST_PROBABILITY)) + weight
             total += cells[a, b]
     for a in range(cells.shape[0]):
         for b in range(cells.shape[1]):

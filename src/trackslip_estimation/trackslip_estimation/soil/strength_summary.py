@@ -47,7 +47,7 @@ def _unidentified_reason(
     if k_high > p.widest_ratio * k_low:
         return "K: the slips are below their uncertainty"
     if k_low < p.edge_ratio * p.lowest_modulus or k_high * p.edge_ratio > p.highest_modulus:
-        return "K: at the end of the range looked for"
+        return "K: at the limit of the searched range"
     return ""
 
 

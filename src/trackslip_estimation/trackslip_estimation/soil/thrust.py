@@ -30,7 +30,7 @@ class Offsets(Record):
 
     mean: Annotated[FloatArray, 2]  # Pa
     variance: Annotated[FloatArray, 2]  # Pa²
-    stood: float  # s at standstill with closed spools
+    standstill_time: float  # s, with closed spools
 
 
 class ThrustRecord(Record):
@@ -121,24 +121,24 @@ def update_offsets(
     Return whether a pressure was rejected. One that is too large, or far from the known offset, is oil under
     load. A far one inflates the variance of the offset, so that it is accepted if it persists.
     """
-    offsets.stood = offsets.stood + dt if is_standing else 0.0
-    rejected = False
+    offsets.standstill_time = offsets.standstill_time + dt if is_standing else 0.0
+    is_rejected = False
     for k in range(2):
         variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
-        if is_standing and offsets.stood >= p.settling_time:
-            spread = variance + p.pressure_stddev**2
-            far = (pressures[k] - offsets.mean[k]) ** 2 / p.far_offset**2
+        if is_standing and offsets.standstill_time >= p.settling_time:
+            innovation_variance = variance + p.pressure_stddev**2
+            scaled_square = (pressures[k] - offsets.mean[k]) ** 2 / p.far_offset**2
             if abs(pressures[k]) > p.offset_limit:
-                rejected = True
-            elif far > spread:
-                rejected = True
-                variance += far * dt / p.persist_time
+                is_rejected = True
+            elif scaled_square > innovation_variance:
+                is_rejected = True
+                variance += scaled_square * dt / p.persist_time
             else:
-                gain = variance / spread
+                gain = variance / innovation_variance
                 offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])
                 variance *= 1.0 - gain
         offsets.variance[k] = variance
-    return rejected
+    return is_rejected
 
 
 @compiled
@@ -160,9 +160,9 @@ def measure_thrust(
         positive = _normal_cdf(pressure / math.sqrt(variance))
         drives = forward * positive + (1.0 - forward) * (1.0 - positive)
         slope = drives * motor.driving + (1.0 - drives) * motor.driven
-        either = drives * (1.0 - drives) * ((motor.driving - motor.driven) * pressure) ** 2
+        direction_variance = drives * (1.0 - drives) * ((motor.driving - motor.driven) * pressure) ** 2
         thrust.force[k] = slope * pressure
-        thrust.variance[k] = slope**2 * variance + either
+        thrust.variance[k] = slope**2 * variance + direction_variance
 
 
 @compiled

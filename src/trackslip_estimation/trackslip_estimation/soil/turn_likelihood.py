@@ -82,7 +82,7 @@ def squared_distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatAr
     check for zeros). Terms are divided by F_max², and multiplied by the determinant of R until the end.
     """
     q, J = curves.q, curves.J
-    count, own = q.shape[2], turn.share_stddev**2
+    count, share_variance = q.shape[2], turn.share_stddev**2
     force, variance = np.zeros(2), np.ones(2)
     for k in range(2):
         if math.isfinite(turn.force[k]):
@@ -92,8 +92,8 @@ def squared_distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatAr
             J[:, :, k] = 0.0
     per_limit = 1.0 / limits
     force_left, force_right = force[0] * per_limit, force[1] * per_limit
-    variance_left = variance[0] * per_limit**2 + own
-    variance_right = variance[1] * per_limit**2 + own
+    variance_left = variance[0] * per_limit**2 + share_variance
+    variance_right = variance[1] * per_limit**2 + share_variance
     squares = np.full((count, len(limits)), np.inf)
     for a in range(count):
         best = squares[a]

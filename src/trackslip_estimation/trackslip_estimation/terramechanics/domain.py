@@ -30,10 +30,10 @@ def validate(field: str, value: ArrayLike, unit: str = "", **bounds: float) -> F
         raise InputError(
             f"{field} = {value!r} is refused; accepted: numbers {spec.accepted_range()}"
         ) from error
-    good = np.isfinite(array)
+    is_valid = np.isfinite(array)
     for name, bound in bounds.items():
-        good = good & _COMPARISONS[name](array, bound)
-    if not np.all(good):
-        first = float(array[~good].flat[0])
+        is_valid = is_valid & _COMPARISONS[name](array, bound)
+    if not np.all(is_valid):
+        first = float(array[~is_valid].flat[0])
         raise InputError(f"{field} = {first:g} is refused; accepted: {spec.accepted_range()}")
     return array

@@ -83,9 +83,9 @@ def bulldozing_resistance(
     """
     alpha = validate("approach_angle", approach_angle, "rad", gt=0.0, lt=math.pi)
     phi = validate("friction_angle", friction_angle, "rad", ge=0.0, lt=math.pi / 2)
-    together = validate("approach_angle + friction_angle", alpha + phi, "rad", le=math.pi)
+    sum_of_angles = validate("approach_angle + friction_angle", alpha + phi, "rad", le=math.pi)
     b = validate("width", width, "m", gt=0.0)
-    projection: FloatArray = np.sin(together) / (np.sin(alpha) * np.cos(phi))
+    projection: FloatArray = np.sin(sum_of_angles) / (np.sin(alpha) * np.cos(phi))
     return 2.0 * b * projection * validate("earth_pressure", earth_pressure, "N/m", ge=0.0)
 
 

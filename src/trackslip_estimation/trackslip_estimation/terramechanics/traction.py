@@ -123,10 +123,10 @@ def slip_of_thrust(
         step = np.divide(
             u * (_mean_mobilised_share(u) - size), slope, out=np.zeros_like(u), where=slope > 0.0
         )
-        closer = np.maximum(u - step, 2.0 * size)
-        settled = np.all(np.abs(closer - u) <= 1e-15 * u)
-        u = closer
-        if settled:
+        next_u = np.maximum(u - step, 2.0 * size)
+        is_settled = np.all(np.abs(next_u - u) <= 1e-15 * u)
+        u = next_u
+        if is_settled:
             break
     return np.sign(q) * u * k / validate("length", length, "m", gt=0.0)
 

@@ -124,7 +124,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
 
 def live(argv: Sequence[str] | None = None) -> int:
     """Serve until SIGINT or SIGTERM; returns the exit code."""
-    return run(LiveNode, argv, niceness=_NICENESS, interrupted=ExitCode.DONE)
+    return run(LiveNode, argv, niceness=_NICENESS, interrupt_code=ExitCode.DONE)
 
 
 def main() -> None:

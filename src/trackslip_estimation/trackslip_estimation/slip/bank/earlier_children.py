@@ -184,7 +184,7 @@ def are_track_speeds_measured(before: State) -> bool:
 def _is_steep(state: State) -> bool:
     """Whether the known slope is steep enough for the machine to slide."""
     level = state.attitude.level
-    return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
+    return bool(level.known == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
 
 
 @compiled

@@ -213,7 +213,7 @@ def linearize(
     slope.horizontal_jacobian(J, state.attitude.level)
     is_turning = has_velocity_errors(c) and state.motion.motion == _IS_TURNING
     slope.add_slope_noise(Q, dt, is_turning, state.attitude.level)
-    if c.model == _TURNING and state.attitude.level.tilted == 1:
+    if c.model == _TURNING and state.attitude.level.known == 1:
         distance = slope.track_speed((left, right), c) * dt
         turning.add_slope_noise(Q, distance, state.attitude.level.downhill_y)
     halfway = x[YAW] + rate * dt / 2.0

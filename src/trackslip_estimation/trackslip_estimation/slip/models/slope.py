@@ -52,7 +52,7 @@ def add_slide_velocity(
     x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level, c: Config
 ) -> Twist:
     """The twist with the sliding that gravity adds; ``speeds`` are those of the sprockets, rad/s."""
-    if level.tilted == 0:
+    if level.known == 0:
         return twist
     slide, T = x[DOWNHILL] * track_speed(speeds, c), turn_speed(speeds, c)
     ahead, aside = slide + _AHEAD * T, slide + _ASIDE * T
@@ -62,7 +62,7 @@ def add_slide_velocity(
 @compiled
 def add_slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Level, c: Config) -> None:
     """Set the derivatives by k in J (3, n), the derivative of the twist; in place."""
-    if level.tilted == 1:
+    if level.known == 1:
         J[0, DOWNHILL] = track_speed(speeds, c) * level.downhill_x
         J[1, DOWNHILL] = track_speed(speeds, c) * level.downhill_y
 
@@ -84,17 +84,17 @@ def turn_speed(speeds: tuple[float, float], c: Config) -> float:
 @compiled
 def horizontal_part(twist: Twist, level: Level) -> Twist:
     """Speeds along the heading and to its left, m/s, and rate of the heading, rad/s."""
-    if level.tilted == 0:
+    if level.known == 0:
         return twist
     v_x, v_y, r = twist
     ahead = v_x * (1.0 + level.forward) + v_y * level.across
-    return ahead, v_y * (1.0 + level.sideways), r * (1.0 + level.turn) + level.roll_over
+    return ahead, v_y * (1.0 + level.sideways), r * (1.0 + level.turn) + level.yaw_rate_offset
 
 
 @compiled
 def horizontal_jacobian(J: FloatArray, level: Level) -> None:
     """Turn J (3, n) of the twist into the derivative of ``horizontal_part``, in place."""
-    if level.tilted == 0:
+    if level.known == 0:
         return
     for k in range(J.shape[1]):
         J[0, k] = J[0, k] * (1.0 + level.forward) + J[1, k] * level.across
@@ -106,7 +106,7 @@ def horizontal_jacobian(J: FloatArray, level: Level) -> None:
 def inflate_downhill_slip(state: State) -> None:
     """Inflate the variance of k where the slope along the direction of travel changes; more for larger k."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
-    if V == 0.0 or level.tilted == 0:
+    if V == 0.0 or level.known == 0:
         return
     down = math.copysign(level.downhill_x, V * level.downhill_x)
     change = abs(down - state.learned_downhill)
@@ -126,7 +126,7 @@ def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, level: Level) ->
     slope = level.downhill_x**2 + level.downhill_y**2
     Q[DOWNHILL, DOWNHILL] *= slope / (slope + _GENTLE**2)
     Q[YAW, YAW] += level.turn_variance * dt
-    if is_turning and level.tilted == 1:
+    if is_turning and level.known == 1:
         of_first, of_second, of_offset = _TURN_STATE_WALKS
         Q[TURN_STATE_1, TURN_STATE_1] += of_first**2 * slope * dt
         Q[TURN_STATE_2, TURN_STATE_2] += of_second**2 * slope * dt

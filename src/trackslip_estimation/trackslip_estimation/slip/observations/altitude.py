@@ -44,7 +44,7 @@ from trackslip_estimation.slip.source_offsets import error_model, pose_source_nu
 from trackslip_estimation.slip.validity import HIGHEST
 
 if TYPE_CHECKING:
-    from trackslip_estimation.attitude.records import Climb
+    from trackslip_estimation.attitude.records import Altitudes
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
@@ -66,7 +66,7 @@ def update_height(state: State, measurement: MeasurementRecord, c: Config) -> in
         return 0
     if not (abs(measurement.altitude) < HIGHEST and variance > 0.0):
         return _NONE
-    dt = min(max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST), _LONGEST)
+    dt = min(max((measurement.stamp_ns - a.altitudes.used_ns) * 1e-9, _SHORTEST), _LONGEST)
     expected, H = _predicted_altitude(state, source, c)
     innovation, limit = measurement.altitude - expected, c.gate_limits[1]
     stated, R = _altitude_variances(state, measurement, dt, c)
@@ -75,7 +75,7 @@ def update_height(state: State, measurement: MeasurementRecord, c: Config) -> in
     nis = innovation * innovation / (predicted[0, 0] + R)
     o = independent_observation(np.array((innovation,)), H, np.array(((R,),)))
     if nis > c.adaptation.soft_gate * limit:
-        if not _is_persistent(a.climb, innovation, stated, measurement, c):
+        if not _is_persistent(a.altitudes, innovation, stated, measurement, c):
             return _GATED
         spread += innovation * innovation
     else:
@@ -83,7 +83,7 @@ def update_height(state: State, measurement: MeasurementRecord, c: Config) -> in
     a.covariance[HEIGHT, HEIGHT] += spread
     correct(a.mean[:], a.covariance[:], o)
     set_level(a)
-    a.climb.used_ns, a.climb.refused = measurement.stamp_ns, 0
+    a.altitudes.used_ns, a.altitudes.rejections = measurement.stamp_ns, 0
     return 0
 
 
@@ -128,14 +128,16 @@ def _altitude_variances(
 
 @compiled
 def _is_persistent(
-    climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
+    altitudes: Altitudes, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
 ) -> bool:
     """Whether this altitude, outside the gate, completes a series of altitudes that agree."""
-    change = innovation - climb.apart
-    if climb.refused == 0 or change * change > 2.0 * c.gate_limits[1] * stated:
-        climb.refused, climb.rejected_ns, climb.apart = 0, measurement.stamp_ns, innovation
-    climb.refused += 1
-    lasted_ns = measurement.stamp_ns - climb.rejected_ns
+    difference = innovation - altitudes.innovation
+    if altitudes.rejections == 0 or difference * difference > 2.0 * c.gate_limits[1] * stated:
+        altitudes.rejections, altitudes.innovation = 0, innovation
+        altitudes.rejected_ns = measurement.stamp_ns
+    altitudes.rejections += 1
+    lasted_ns = measurement.stamp_ns - altitudes.rejected_ns
     return bool(
-        climb.refused >= _LEAST_AGREEING and lasted_ns >= _LEAST_AGREEING * c.timeouts_ns[measurement.source]
+        altitudes.rejections >= _LEAST_AGREEING
+        and lasted_ns >= _LEAST_AGREEING * c.timeouts_ns[measurement.source]
     )
