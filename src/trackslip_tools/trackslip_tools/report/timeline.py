@@ -285,7 +285,7 @@ def _explanation_events(run: Run) -> Iterator[Event]:
             yield _make_event(interval.start, Level.WARN, interval.text)
     for event in run.replay.accepted_events:
         if event.event is not Explaining.OUTLIER:
-            level = Level.OK if event.event is Explaining.RECOVERED or event.begins else Level.WARN
+            level = Level.OK if event.event is Explaining.RECOVERED or event.is_sector else Level.WARN
             yield _make_event(float(run.recording.seconds(np.array(event.stamp_ns))), level, event.text)
 
 
