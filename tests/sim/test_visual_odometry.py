@@ -76,5 +76,5 @@ def test_replay_reads_odometry_as_the_node_does(bag: Path) -> None:
     expected = to_records(poses, numbers)
     odometry = rows[rows["kind"] == ODOMETRY]
     assert len(odometry) == len(expected) > 900
-    for name in ("stamp_ns", "source", "value", "noise", "turn", "frame"):
+    for name in ("stamp_ns", "source", "value", "noise", "orientation", "frame"):
         np.testing.assert_array_equal(odometry[name], expected[name])

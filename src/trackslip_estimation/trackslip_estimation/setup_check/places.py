@@ -222,8 +222,8 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
         distance = float(np.hypot(*middle))
         steps = np.hypot(*np.diff(places, axis=0).T)
         leaps = np.flatnonzero(steps > 1e3)
-        is_lasting = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
-        if is_lasting and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
+        is_persistent = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
+        if is_persistent and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
             evidence = f"fixes leap by {steps[leaps[0]] / 1e3:.1f} km from one to the next, and stay there"
             remedy = (
                 "Give all fixes one datum: in the mapping datum: "
