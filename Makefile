@@ -18,7 +18,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives cases test slow faults soak units lint ament bench fuzz bags wheel numbers figures docs clean
+.PHONY: help setup checks demo bars drives cases sweep test slow faults soak units lint ament bench fuzz bags wheel numbers figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
@@ -46,6 +46,9 @@ drives: setup ## forty random drives of random machines, in and out of the laser
 
 cases: setup ## drives with injected faults, scored beside those of a baseline, and their bars (ARGS='--only marmotte --json FILE')
 	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/main.py $(ARGS)
+
+sweep: setup ## each fault of the cases at many times of real logs, ten minutes (ARGS='--only encoder')
+	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/sweep.py $(ARGS)
 
 # A module's tests run in one worker, and those with whole graphs (group graph) one by one: three more workers than
 # cores use what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall

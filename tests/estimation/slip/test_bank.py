@@ -72,6 +72,18 @@ def with_velocities(recording: Recording, measurements: list[Measurement], rate:
     return sorted([*measurements, *velocities], key=lambda m: m.stamp_ns)
 
 
+def with_scaled_sprockets(
+    recording: Recording, factors: tuple[float, float], begin: float, end: float
+) -> list[Measurement]:
+    """The measurements with left and right sprocket speeds scaled from ``begin`` to ``end``, s."""
+    return [
+        replace(m, left_speed=factors[0] * m.left_speed, right_speed=factors[1] * m.right_speed)
+        if isinstance(m, Sprockets) and begin <= m.stamp_ns / S - 1.0 < end
+        else m
+        for m in recording.measurements
+    ]
+
+
 def errors(
     measurements: list[Measurement], recording: Recording, p: SlipEstimatorParameters
 ) -> tuple[FloatArray, FloatArray, SlipEstimator]:
@@ -341,12 +353,7 @@ def test_estimate_follows_fixes_while_encoders_fail(
     machine = Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03)
     recording = drive(replace(machine, sensor_rate=sensor_rate, fix_rate=fix_rate))
     begin, end = 20.0, 30.0
-    broken = [
-        replace(m, left_speed=shown[0] * m.left_speed, right_speed=shown[1] * m.right_speed)
-        if isinstance(m, Sprockets) and begin <= m.stamp_ns / S - 1.0 < end
-        else m
-        for m in recording.measurements
-    ]
+    broken = with_scaled_sprockets(recording, shown, begin, end)
     error, nees, estimator = errors(broken, recording, parameters(**GNSS))
     t = np.arange(error.size) * 40.0 / error.size
     assert {Event.FAILED, Event.SLIPPED} & set(events(estimator))
@@ -359,12 +366,7 @@ def test_estimate_follows_fixes_while_encoders_fail(
 def test_estimate_follows_fixes_while_every_other_count_is_lost(fastest: float) -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.05, fix_stated=0.05, fix_rate=1))
     begin, end = 20.0, 35.0
-    halved = [
-        replace(m, left_speed=0.5 * m.left_speed, right_speed=0.5 * m.right_speed)
-        if isinstance(m, Sprockets) and begin <= m.stamp_ns / S - 1.0 < end
-        else m
-        for m in recording.measurements
-    ]
+    halved = with_scaled_sprockets(recording, (0.5, 0.5), begin, end)
     p = parameters(**GNSS, max_sprocket_speed=fastest)
     error, nees, estimator = errors(halved, recording, p)
     t = np.arange(error.size) * 50.0 / error.size
@@ -410,18 +412,34 @@ def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("rate", [5, 10])
-def test_encoder_that_counts_backward_is_found_beside_velocities_of_a_receiver(rate: int, seed: int) -> None:
+@pytest.mark.parametrize(
+    "factors", [(1.0, -1.0), (0.0, 0.0), (0.0, 1.0)], ids=["right reversed", "both 0", "left 0"]
+)
+def test_failed_encoders_are_found_beside_velocities_of_a_receiver(
+    factors: tuple[float, float], rate: int, seed: int
+) -> None:
     """Velocities and fixes that agree with each other must win against the tracks."""
     machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
-    recording, fails = drive(machine), range(21 * S, 33 * S)
-    broken = [
-        replace(m, right_speed=-m.right_speed) if isinstance(m, Sprockets) and m.stamp_ns in fails else m
-        for m in recording.measurements
-    ]
+    recording = drive(machine)
+    broken = with_scaled_sprockets(recording, factors, 20.0, 32.0)
     p = parameters(**GNSS, velocity_sources=["fix_velocity"])
     error, nees, _ = errors(with_velocities(recording, broken, rate), recording, p)
     assert np.sqrt(np.mean(error**2)) < 0.3
     assert np.mean(nees > 13.8) < 0.05
+
+
+@pytest.mark.parametrize("fix_rate", [1, 5])
+def test_encoders_that_show_zero_are_found_before_the_heading_is_known(fix_rate: int) -> None:
+    """Sprockets that stand are contradicted by fixes of a moving machine at any heading."""
+    machine = Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate)
+    recording = drive(machine)
+    broken = with_scaled_sprockets(recording, (0.0, 0.0), 0.0, 20.0)
+    p = parameters(**GNSS, start="first_fix", initial_yaw_stddev=2.0)
+    error, nees, _ = errors(broken, recording, p)
+    t = np.arange(error.size) * 40.0 / error.size
+    assert error[t > 6.0].max() < 1.0
+    assert np.mean(nees[t > 6.0] > 13.8) < 0.05
+    assert error[t > 26.0].max() < 0.2
 
 
 @pytest.mark.parametrize("fix_rate", [1, 2, 5, 10])

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gates of the estimator: outliers are rejected, persistent changes are accepted, the NIS is consistent."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ from scipy.stats import chi2
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.gate import log_density_of_rejection
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.turning import EFFICIENCY
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -207,3 +209,13 @@ def test_nis_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     nis = nis[np.isfinite(nis)]
     low, high = chi2.ppf((1e-4, 1.0 - 1e-4), 3 * nis.size) / nis.size
     assert low < nis.mean() < high
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 100.0])  # Hz
+def test_rejections_cost_a_branch_as_much_at_any_rate(rate: float) -> None:
+    """All rejections within the correlation time of the velocity errors count as one outlier."""
+    p = load_slip_parameters()
+    c = SlipEstimator(p).config[0]
+    cost_of_one = math.log(p.bank.initial_outlier_share)
+    per_second = rate * float(log_density_of_rejection(1.0 / rate, c))
+    assert per_second == pytest.approx(cost_of_one / c["velocity_errors"]["time"])

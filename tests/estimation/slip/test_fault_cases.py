@@ -19,6 +19,7 @@ from fixtures.fault_cases.catalogue import CATALOGUE
 from fixtures.fault_cases.drawn_cases import with_source
 from fixtures.fault_cases.gnss_errors import KINDS, gauss_markov
 from fixtures.fault_cases.injections import INJECTIONS, blank_sprockets
+from fixtures.fault_cases.robot_logs import is_present
 from fixtures.fault_cases.running import (
     BASELINE,
     named_cases,
@@ -29,6 +30,7 @@ from fixtures.fault_cases.running import (
 )
 from fixtures.fault_cases.scoring import Score
 from fixtures.fault_cases.sensor_faults import SENSOR_FAULTS
+from fixtures.fault_cases.sweep import sweep
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
 from trackslip_estimation.slip.records import to_records
@@ -169,6 +171,21 @@ def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
     if not present:
         pytest.skip("no log of the cases")
     assert [bar for bar in present if not bar.is_met] == []
+
+
+@pytest.mark.skipif(not is_present("marmotte"), reason="no log of the tracked robot")
+@pytest.mark.parametrize(
+    ("rate", "fault", "rmse"),
+    [
+        (1.0, "both encoders show 0 10 s", 0.3),
+        (5.0, "both encoders show 0 10 s", 0.12),
+        (5.0, "left encoder frozen 10 s", 0.1),
+    ],
+)
+def test_fault_is_found_at_most_times_of_a_real_drive(rate: float, fault: str, rmse: float) -> None:
+    cell = sweep("marmotte", rate, fault)
+    assert cell.median_rmse < rmse
+    assert cell.inconsistent < 0.08
 
 
 class TestEveryCase:

@@ -10,10 +10,15 @@
 The gate rejects a spike, even as the first reading after an outage. It accepts a source that stays
 inconsistent, after a time that grows with the logarithm of its error. The bank weighs poses, headings and
 swing angles instead (``weighing``).
+
+A branch that rejects a measurement assumes an outlier, at the cost of its weight. So a branch in which the
+machine stands loses against one in which the sprockets fail, if a gyro shows a rotation. Measurements within
+the gate change no weight: the noise of each branch adapts to them.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
@@ -52,3 +57,12 @@ def update_rejection_time(state: State, measurement: MeasurementRecord, c: Confi
         elapsed_ns = measurement.stamp_ns - state.received_ns[source]
         state.rejected_ns[source] += min(max(elapsed_ns, 0), c.timeouts_ns[source])
     state.received_ns[source] = measurement.stamp_ns
+
+
+@compiled
+def log_density_of_rejection(elapsed: float, c: Config) -> float:
+    """Evidence of a branch that rejects a measurement ``elapsed`` s after the previous one of its source.
+
+    Velocity errors last for τ, so rejections within τ together count as one outlier.
+    """
+    return min(elapsed / c.velocity_errors.time, 1.0) * math.log(c.bank.initial_outlier_share)

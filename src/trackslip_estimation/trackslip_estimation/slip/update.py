@@ -10,7 +10,7 @@
 
 ``observations`` has innovation, Jacobian, noise and consider states of each kind. The bank weighs poses,
 headings, swing angles and velocities (``weighing``); the other kinds pass a gate that widens (``gate``). A
-rejected measurement leaves mean and covariance unchanged.
+rejected measurement leaves mean and covariance unchanged, and lowers the evidence of the branch.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.gate import update_rejection_time
+from trackslip_estimation.slip.gate import log_density_of_rejection, update_rejection_time
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observations.gyro import bias_index, observe_rate, update_with_rate
 from trackslip_estimation.slip.observations.odometry import update_with_odometry
@@ -46,6 +46,7 @@ def apply_measurement(
     if is_weighed(measurement):
         weigh_and_update(state, measurement, c, update, prior)
         return
+    elapsed = (measurement.stamp_ns - state.received_ns[measurement.source]) * 1e-9
     update_rejection_time(state, measurement, c)
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
@@ -58,6 +59,8 @@ def apply_measurement(
         update_with_odometry(state, measurement, c, update, prior)
     else:
         update_with_slips(state, measurement, c, update, prior)
+    if update.outcome == _GATED and state.fault[measurement.source] == IS_HEALTHY:
+        update.evidence = log_density_of_rejection(elapsed, c)
 
 
 @compiled

@@ -30,6 +30,7 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _LOG_SECTORS = math.log(HEADINGS)
+_STANDING = int(Motion.STANDING)
+_MOVED_FIXES = 3  # consecutive fixes that contradict a standstill: more than outliers do
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
@@ -140,17 +143,19 @@ def _is_heading_unknown(before: State) -> bool:
 def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Add children in which sprockets, gyros or an odometry have not measured the motion.
 
-    None while the heading is unknown, as a wrong heading explains the same fixes. A slip nearer to −1 than to
-    its range indicates lost counts; their event replaces the slip event in the prior of the branch.
+    A slip nearer to −1 than to its range indicates lost counts; their event replaces the slip event in the
+    prior of the branch.
     """
     before = window.states[p, k - 1]
-    if not _can_show_failures(before, c):
-        return
     for unit in range(MOST_SOURCES):
-        if c.shows_motion[unit] == 1 and before.fault[unit] == IS_HEALTHY:
+        if c.shows_motion[unit] == 0 or not _can_show_failure(window, p, k, unit, c):
+            continue
+        if before.fault[unit] == IS_HEALTHY:
             add_child_since_snapshot(window, p, k, FAILED, unit, 0, -penalty, c)
-        elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # by another fault
+        elif before.fault[unit] == IS_MISCOUNTING:  # by another fault
             add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
+    if not _can_show_failure(window, p, k, GYROS, c):
+        return
     if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
         instead = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
         add_child(window, p, k, FAILED, TRACKS, LOST, True, instead, c)
@@ -164,14 +169,22 @@ def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Co
 def make_gyro_failure_child(window: Window, p: int, k: int, c: Config) -> None:
     """Add the child of p in which the gyros have not measured the yaw rate; heading k contradicts p."""
     before = window.states[p, k - 1]
-    if _can_show_failures(before, c) and c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
+    can_show = c.shows_motion[GYROS] == 1 and _can_show_failure(window, p, k, GYROS, c)
+    if can_show and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, FAILED, GYROS, 0, 0.0, c)
 
 
 @compiled
-def _can_show_failures(before: State, c: Config) -> bool:
-    """Whether the heading is known, and the gate is finite; with an infinite one everything is used."""
-    return bool(not _is_heading_unknown(before) and not math.isinf(c.gate_limits[1]))
+def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> bool:
+    """Whether measurements can show to branch p that a unit fails; with an infinite gate everything is used.
+
+    While the heading is unknown they cannot, as a wrong heading explains the same fixes. But sprockets that
+    show a standstill, the same at any heading, are contradicted by consecutive fixes of a moving machine.
+    """
+    before, snapshot = window.states[p, k - 1], window.branches[p, k - 1].snapshots[OLDER]
+    is_standing = unit == TRACKS and before.motion.motion == _STANDING
+    has_moved = is_standing and snapshot.fixes >= _MOVED_FIXES
+    return bool(not math.isinf(c.gate_limits[1]) and (has_moved or not _is_heading_unknown(before)))
 
 
 @compiled

@@ -41,7 +41,7 @@ from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.records import OLDER, POSE, YOUNGER
+from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
 from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_IGNORED, is_trusted
 from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.step import step
@@ -84,8 +84,7 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
                     closes = closing if i == k else next_sample(measurements, i, count)
                 sample = measurements[closes if closes < count else i]
                 step(state, sample, measurements[i], c, update, prior)
-                if is_weighed(measurements[i]):
-                    branch.weight += update.evidence
+                branch.weight += update.evidence
             if j == 0:
                 carry_receivers(window.receivers, window.masses, k, states[0, k - 1], state)
                 if is_weighed(measurements[k]):
@@ -108,9 +107,20 @@ def finish_row(window: Window, k: int, jobs: int, weighs: bool, c: Config) -> No
     if weighs:
         prune_row(window, k, jobs, c)
         reset_receivers_after_turn(window, k, c)
+    elif _is_measurement_rejected(window, k):
+        fill_row_from_pool(window, k, copy_row_to_pool(window, k), c)
     advance_snapshots(window, k, c)
     if is_moving_without_heading(window.states[0, k]):
         split_unknown_heading(window, k, c)
+
+
+@compiled
+def _is_measurement_rejected(window: Window, k: int) -> bool:
+    """Whether a branch of row k rejects measurement k, at the cost of its weight."""
+    rejected = False
+    for s in range(window.counts[k]):
+        rejected = rejected or update_of(window, s, k).evidence != 0.0
+    return rejected
 
 
 @compiled
@@ -199,7 +209,11 @@ def _equalize_tied_evidence(window: Window, count: int, source: int) -> None:
 
 @compiled
 def _move_snapshots(window: Window, k: int, c: Config) -> None:
-    """Move the snapshots of new branches, and of branches consistent with fix k, to row k."""
+    """Move the snapshots of branches consistent with fix k, and of those that explain angle k, to row k.
+
+    A branch that explains a fix or a velocity keeps the snapshots of its parent. If a later fix contradicts
+    it, its children start before its own event: what was pruned comes back.
+    """
     measurement = window.measurements[k]
     for s in range(window.counts[k]):
         branch, state = window.branches[s, k], window.states[s, k]
@@ -209,7 +223,7 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
                 snapshot.fixes += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
-        if branch.fresh == 1 or agrees:
+        if agrees or (branch.fresh == 1 and measurement.kind in (HEADING, ON_SWING)):
             _reset_snapshots(window, s, k)
 
 
