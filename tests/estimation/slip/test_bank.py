@@ -428,12 +428,15 @@ def test_failed_encoders_are_found_beside_velocities_of_a_receiver(
     assert np.mean(nees > 13.8) < 0.05
 
 
+@pytest.mark.parametrize("factors", [(0.0, 0.0), (1.0, -1.0)], ids=["both 0", "right reversed"])
 @pytest.mark.parametrize("fix_rate", [1, 5])
-def test_encoders_that_show_zero_are_found_before_the_heading_is_known(fix_rate: int) -> None:
-    """Sprockets that stand are contradicted by fixes of a moving machine at any heading."""
+def test_failed_encoders_are_found_before_the_heading_is_known(
+    fix_rate: int, factors: tuple[float, float]
+) -> None:
+    """Fixes that show a longer displacement than the sprockets contradict them at any heading."""
     machine = Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate)
     recording = drive(machine)
-    broken = with_scaled_sprockets(recording, (0.0, 0.0), 0.0, 20.0)
+    broken = with_scaled_sprockets(recording, factors, 0.0, 20.0)
     p = parameters(**GNSS, start="first_fix", initial_yaw_stddev=2.0)
     error, nees, _ = errors(broken, recording, p)
     t = np.arange(error.size) * 40.0 / error.size

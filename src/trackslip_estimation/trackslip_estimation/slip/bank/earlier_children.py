@@ -27,10 +27,9 @@ from trackslip_estimation.slip.events import (
     WANDERS,
 )
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing
-from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
@@ -52,8 +51,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _LOG_SECTORS = math.log(HEADINGS)
-_STANDING = int(Motion.STANDING)
-_MOVED_FIXES = 3  # consecutive fixes that contradict a standstill: more than outliers do
+_MOVED_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
@@ -178,13 +176,30 @@ def make_gyro_failure_child(window: Window, p: int, k: int, c: Config) -> None:
 def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> bool:
     """Whether measurements can show to branch p that a unit fails; with an infinite gate everything is used.
 
-    While the heading is unknown they cannot, as a wrong heading explains the same fixes. But sprockets that
-    show a standstill, the same at any heading, are contradicted by consecutive fixes of a moving machine.
+    While the heading is unknown they cannot, as a wrong heading explains the same fixes, unless these show a
+    longer displacement than the sprockets: it has the same length at any heading.
     """
-    before, snapshot = window.states[p, k - 1], window.branches[p, k - 1].snapshots[OLDER]
-    is_standing = unit == TRACKS and before.motion.motion == _STANDING
-    has_moved = is_standing and snapshot.fixes >= _MOVED_FIXES
-    return bool(not math.isinf(c.gate_limits[1]) and (has_moved or not _is_heading_unknown(before)))
+    if math.isinf(c.gate_limits[1]):
+        return False
+    is_unknown = _is_heading_unknown(window.states[p, k - 1])
+    return bool(not is_unknown or (unit == TRACKS and _is_farther_than_tracks(window, p, k, c)))
+
+
+@compiled
+def _is_farther_than_tracks(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether consecutive fixes up to k show to branch p a longer displacement than tracks with any slip."""
+    snapshot, before = window.branches[p, k - 1].snapshots[OLDER], window.states[p, k - 1]
+    if window.measurements[k].kind != POSE or snapshot.fixes < _MOVED_FIXES:
+        return False
+    then, update = window.states[snapshot.slot, snapshot.entry], update_of(window, p, k)
+    by_tracks = math.hypot(
+        before.displacement[X] - then.displacement[X], before.displacement[Y] - then.displacement[Y]
+    )
+    by_fixes = math.hypot(
+        update.measured_position[X] - then.mean[X], update.measured_position[Y] - then.mean[Y]
+    )
+    variance = then.covariance[X, X] + then.covariance[Y, Y] + update.stated * update.stated
+    return bool(by_fixes > (1.0 - c.bank.least_slip) * by_tracks + 3.0 * math.sqrt(variance))
 
 
 @compiled
