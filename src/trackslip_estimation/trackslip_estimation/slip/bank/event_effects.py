@@ -251,6 +251,9 @@ def _inflate_failed_state(state: State, e: EventRecord, was: int, c: Config) -> 
         return _reset_state(state, COMMON_SLIP, -1.0, opened, c)
     elif e.source == TRACKS and was == IS_MISCOUNTING:
         return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
+    elif e.source == TRACKS and state.is_sector:  # the sprockets have selected the sector
+        state.is_sector = False
+        return _reset_state(state, YAW, state.mean[YAW], ANY_HEADING**2, c)
     return 0
 
 
