@@ -3,6 +3,7 @@
 """The bag of a recorder on a disk that fails, or with a limited share of it."""
 
 import logging
+import shutil
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -47,6 +48,15 @@ def test_messages_after_a_disk_error_are_counted_as_lost(begin: Begin) -> None:
     recording.close()
     assert recording.disk_error == "cannot write (No space left on device)"
     assert recording.losses.total == {"/topic": 2}
+
+
+def test_deleted_bag_is_a_disk_error(begin: Begin, tmp_path: Path) -> None:
+    recording = begin()
+    write(recording, 1)
+    shutil.rmtree(tmp_path / "bag")
+    recording.save()
+    recording.close()
+    assert recording.disk_error == "cannot write (No such file or directory)"
 
 
 def test_disk_error_of_one_bag_does_not_affect_the_next(begin: Begin) -> None:

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The host's session with a scanner whose replies differ from those of the emulated one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fixtures.driver_defaults import PLS
@@ -11,6 +13,7 @@ from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_scan import RawScan, ScanFault
 from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession
 from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, TO_SENSOR, make_telegram
+from trackslip_drivers.sick_parameters import SickParameters
 
 MS = 1_000_000
 S = 1000 * MS
@@ -24,8 +27,8 @@ SET_BAUD = commands.set_baud(38400)
 class Puppet:
     """A session whose scanner is played by the test; the session finds it at 9600 Bd."""
 
-    def __init__(self) -> None:
-        self.session = SickSession(PLS, Tally())
+    def __init__(self, parameters: SickParameters = PLS) -> None:
+        self.session = SickSession(parameters, Tally())
         self.now_ns = EPOCH_NS
         self.baud = self.session.baud
         while self.baud != 9600:
@@ -65,6 +68,14 @@ def test_the_rate_changes_also_when_only_its_acknowledgement_is_received() -> No
     assert puppet.baud == 38400
     assert puppet.step(240) == b""
     assert puppet.step(20) == make_telegram(commands.STOP, TO_SENSOR)
+
+
+def test_without_a_pause_the_rate_changes_at_its_acknowledgement() -> None:
+    puppet = Puppet(replace(PLS, baud_pause=0.0))
+    puppet.answer(OK)
+    puppet.answer(OK)
+    assert puppet.answer() == make_telegram(commands.STOP, TO_SENSOR)
+    assert puppet.baud == 38400
 
 
 def test_a_late_reply_does_not_answer_the_next_command() -> None:

@@ -43,6 +43,13 @@ def test_positions_alone_are_differenced():
     assert motion.sample(2 * S, NAMES, [7.0] * 5, []).left_velocity == 0.0
 
 
+def test_speed_after_a_position_that_is_not_a_number_is_that_since_the_last_valid_one():
+    motion = JointMotion(parameters())
+    motion.sample(S, NAMES, [0.0] * 5, [])
+    assert motion.sample(S + S // 10, NAMES, [math.nan] * 5, []) is Rejection.NOT_A_NUMBER
+    assert motion.sample(S + S // 5, NAMES, [0.2] * 5, []).left_velocity == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("uses", ["both", "positions"])
 def test_wrapping_positions_give_a_steady_speed(first, uses):

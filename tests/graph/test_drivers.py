@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fixtures.observer import last_of, last_values, values_of
+from fixtures.own_node import started
 from fixtures.plugged_devices import (
     FIELD,
     RATE,
@@ -25,6 +26,9 @@ from fixtures.plugged_devices import (
     plug_watson,
     yard,
 )
+
+from trackslip_drivers.nodes.sick_pls import SickNode
+from trackslip_drivers.protocols.sick_session import Phase
 
 
 @pytest.fixture
@@ -139,6 +143,25 @@ def test_refused_password_is_reported(programs, observer, device):
         lambda: any(h.name == "sick_pls: password" and h.level == b"\x02" for h in healths), "its refusal"
     )
     assert last_values(healths, "sick_pls")["scan: password refused"] == "1"
+
+
+class ReopenedSick(SickNode):
+    """Its port is opened again while it stops the scanner."""
+
+    was_reopened = False
+
+    def _step_dialogue(self):
+        if self._session.phase is Phase.STOPPING and not self.was_reopened:
+            self.was_reopened = True
+            self.restart_decoding()
+        super()._step_dialogue()
+
+
+def test_scanner_is_stopped_though_its_port_reopens_during_deactivation(domain, tmp_path):
+    with started(ReopenedSick, domain, serial_port=str(tmp_path / "tty")) as node:
+        pass
+    assert node.was_reopened
+    assert node._session.phase is Phase.STOPPED
 
 
 def test_the_status_of_the_scanner_is_reported(programs, observer, device):

@@ -4,9 +4,11 @@
 
 import json
 import random
+import re
 import signal
 import time
 from collections import Counter
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,9 +23,12 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
+from trackslip_bags.nodes import subscriptions
 from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
-from trackslip_common.nodes.qos import publisher_qos
+from trackslip_common.nodes.messages import message_class
+from trackslip_common.nodes.qos import best_effort_qos, publisher_qos
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -323,3 +328,36 @@ def test_headings_are_recorded_by_the_type_that_is_published(programs, observer,
         assert bag.topics["/heading"].type_name.endswith(name)
         stamps = [bag.deserialize(m.raw, m.type_name).header.stamp.sec for m in bag.messages(["/heading"])]
     assert stamps == [1, 2, 3, 4, 5]
+
+
+def test_best_effort_topic_of_a_type_that_is_not_installed_is_not_recorded(observer, tmp_path, monkeypatch):
+    def only_sensors(type_name):
+        if not type_name.startswith("sensor_msgs/"):
+            raise ModuleNotFoundError(f"no {type_name}")
+        return message_class(type_name)
+
+    def publishers(topic):
+        return [heading] if topic == "/heading" else []
+
+    heading = SimpleNamespace(topic_type="geometry_msgs/msg/QuaternionStamped", qos_profile=best_effort_qos())
+    monkeypatch.setattr(subscriptions, "message_class", only_sensors)
+    monkeypatch.setattr(observer.node, "get_publishers_info_by_topic", publishers)
+    with BagWriter(tmp_path / "bag") as bag:
+        recorded = subscriptions.RawSubscriptions(observer.node, bag, re.compile(r"(?!)"), lambda *_: None)
+        recorded.discover()
+    assert "/heading" in recorded.not_recorded
+    assert "/heading" not in recorded.publishers()
+
+
+def test_topic_of_a_best_effort_publisher_is_subscribed_with_best_effort(observer, tmp_path, monkeypatch):
+    sprockets = SimpleNamespace(topic_type="sensor_msgs/msg/JointState", qos_profile=best_effort_qos())
+
+    def publishers(topic):
+        return [sprockets] if topic == "/sprockets" else []
+
+    monkeypatch.setattr(observer.node, "get_publishers_info_by_topic", publishers)
+    with BagWriter(tmp_path / "bag") as bag:
+        recorded = subscriptions.RawSubscriptions(observer.node, bag, re.compile(r"(?!)"), lambda *_: None)
+        publisher = observer.node.create_publisher(JointState, "sprockets", best_effort_qos())
+        recorded.discover()
+        observer.wait(publisher.get_subscription_count, "a subscription that matches")

@@ -36,6 +36,16 @@ def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
     return {name: value for name, value in found.items() if name != "real_time_factor"}
 
 
+def test_shared_topics_of_a_machine_are_one_with_those_of_its_namespace(tmp_path: Path) -> None:
+    topics = ("/two/diagnostics", "/diagnostics", "/diagnostics_crane/joints", "/one/diagnostics")
+    with BagWriter(tmp_path / "bag") as bag:
+        for number, topic in enumerate(topics):
+            bag.write(topic, "sensor_msgs/msg/JointState", JOINTS, number)
+    with open_bag(tmp_path / "bag", "two") as part:
+        assert {topic: info.count for topic, info in part.topics.items()} == {"/diagnostics": 2}
+        assert [m.log_time_ns for m in part.messages(["/diagnostics"])] == [0, 1]
+
+
 @pytest.mark.slow
 def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_path: Path) -> None:
     alone = replayed(tmp_path, emulated_bag)

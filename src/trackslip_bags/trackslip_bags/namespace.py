@@ -4,30 +4,35 @@
 
 from collections.abc import Collection, Iterator
 
-from trackslip_bags.sources import BagMessage, Source, TopicInfo
+from trackslip_bags.sources import BagMessage, Source, TopicInfo, merge_topics
 from trackslip_common.errors import InputError
 
 _GLOBAL_TOPICS = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics outside of namespaces
 
 
 class NamespaceView:
-    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; topics of other machines are absent."""
+    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; topics of other machines are absent.
+
+    ``/digger1/tf`` and the shared ``/tf`` are one topic.
+    """
 
     def __init__(self, source: Source, namespace: str) -> None:
         self.start_ns, self.end_ns = source.start_ns, source.end_ns
         self._source, self._topics = source, source.topics()
         prefix = f"/{namespace.strip('/')}/"
-        self._bag_names = {
-            _name_in_namespace(t, prefix): t for t in self._topics if t.startswith((prefix, *_GLOBAL_TOPICS))
+        self._names = {  # by topic of the bag
+            topic: f"/{topic.removeprefix(prefix)}" if topic.startswith(prefix) else topic
+            for topic in self._topics
+            if topic.startswith(prefix) or topic in _GLOBAL_TOPICS
         }
 
     def topics(self) -> dict[str, TopicInfo]:
         """Name within the namespace → information on the topic."""
-        return {name: self._topics[topic] for name, topic in self._bag_names.items()}
+        return merge_topics({name: self._topics[topic]} for topic, name in self._names.items())
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         """The messages of the namespace, as those of ``Source.messages``."""
-        renamed = {topic: name for name, topic in self._bag_names.items() if names is None or name in names}
+        renamed = {topic: name for topic, name in self._names.items() if names is None or name in names}
         for message in self._source.messages(renamed.keys(), start_ns, stop_ns):
             yield message._replace(topic=renamed[message.topic])
 
@@ -46,7 +51,3 @@ def require_in_namespace(topics: Collection[str], namespace: str) -> None:
         there = sorted({topic.split("/")[1] for topic in topics if topic.count("/") > 1})
         accepted = ", ".join(there) or "none: no topic of the bag has a namespace"
         raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
-
-
-def _name_in_namespace(topic: str, prefix: str) -> str:
-    return f"/{topic.removeprefix(prefix)}" if topic.startswith(prefix) else topic

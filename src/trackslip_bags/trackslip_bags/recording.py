@@ -137,9 +137,8 @@ class Recording:
         if self._try_on_disk(self.bag.flush) and self._saving.done():
             self._try_on_disk(self._saving.result)
             self._saving = self._disk.submit(sync_file, self.bag.file)
-        if not self.disk_error:
-            self._try_on_disk(self._keep_to_budget)
-            self._disk_watch.add(shutil.disk_usage(self.bag.path).free)
+        self._try_on_disk(self._keep_to_budget)
+        self._try_on_disk(self._watch_disk)
         self._progress.show(self.minutes_left)
         if lost := self.losses.new_losses_text():
             self._log.error(f"lost {lost}")
@@ -164,6 +163,9 @@ class Recording:
         ):
             self._log.warning(f"max_disk: {file} is removed")
             bag.remove_file(file.name) if file.parent == bag.path else remove_recorded(file)
+
+    def _watch_disk(self) -> None:
+        self._disk_watch.add(shutil.disk_usage(self.bag.path).free)
 
     def _try_on_disk(self, work: Callable[[], None]) -> bool:
         """Do ``work`` unless the disk has failed; returns whether it succeeded."""

@@ -15,6 +15,7 @@ from fixtures.setup_variants import VARIANTS, piece
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.clocks import SourceDelay, judge_delays
 from trackslip_estimation.setup_check.collect import Columns, log_of_columns
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
@@ -556,6 +557,15 @@ def test_clock_drift_between_two_sources_is_an_open_question(rate: float) -> Non
     result = check(replace(log, tracks=replace(log.tracks, t=rate * log.tracks.t)))
     assert result.causes == ()
     assert any("drift apart" in question.what for question in result.open_questions)
+
+
+def test_of_two_sources_that_may_be_delayed_the_first_is_named() -> None:
+    """The order of a set of topics would depend on PYTHONHASHSEED."""
+    for k in range(16):
+        delays = [SourceDelay(f"first_{k}", f"second_{k}", 0.5, 0.02), SourceDelay("imu", "fixes", 0.0, 0.02)]
+        causes, (question,) = judge_delays(delays)
+        assert not causes
+        assert question.what == f"first_{k} is off by 0.50 s against one other source only"
 
 
 def cut_columns(log: Log, *, has_fractions: bool) -> Columns:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check of a running estimator: causes appear within two minutes and vanish once corrected."""
 
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -120,3 +121,47 @@ def test_a_failure_of_an_evaluation_is_reported(parameters: SlipEstimatorParamet
     background.start()
     background.join()
     assert [str(failure) for failure in failures] == ["no"]
+
+
+def open_result(_: object = None) -> Result:
+    """A result with a certain mistake that is one of several."""
+    return Result(undetermined=(OpenQuestion("two sources contradict", "drive in reverse", is_wrong=True),))
+
+
+def test_measurement_of_a_new_source_waits_for_the_copy_of_an_evaluation(
+    parameters: SlipEstimatorParameters,
+) -> None:
+    check = RunningCheck(parameters)
+    with check._lock:
+        adding = threading.Thread(target=check.add, args=(Sprockets("sprockets", 0, 0.1, 0.1),))
+        adding.start()
+        adding.join(0.1)
+        assert not check._rows
+    adding.join()
+    assert len(check._rows) == 1
+
+
+def test_restart_drops_the_result_of_a_running_evaluation(
+    parameters: SlipEstimatorParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check = RunningCheck(parameters)
+
+    def restart_meanwhile(_: object) -> Result:
+        check.restart(parameters)
+        return open_result()
+
+    monkeypatch.setattr(check, "_check_columns", restart_meanwhile)
+    assert check.evaluate() == check.result == Result()
+    monkeypatch.setattr(check, "_check_columns", open_result)
+    assert not check.evaluate().open_questions
+
+
+def test_restart_forgets_the_open_question_of_the_previous_evaluation(
+    parameters: SlipEstimatorParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check = RunningCheck(parameters)
+    monkeypatch.setattr(check, "_check_columns", open_result)
+    check.evaluate()
+    check.restart(parameters)
+    assert not check.evaluate().open_questions
+    assert check.evaluate().open_questions

@@ -40,7 +40,6 @@ class RawSubscriptions:
         self._known: set[str] = set()
         self._raw_subscriptions: dict[str, Any] = {}  # topic → subscription
         self._choices: dict[str, tuple[str, ...]] = {}  # possible types of topics without a publisher
-        self._reliable: set[str] = set()
         self.single_publisher_topics: set[str] = set()  # topics with one publisher
         self.not_recorded: dict[str, str] = {}  # topic → reason
         for name, topic in TOPICS.items():
@@ -63,13 +62,13 @@ class RawSubscriptions:
                 offers = {info.qos_profile.durability for info in self._publisher_infos(topic)}
                 self._record_topic(topic, types[0], offers == {DurabilityPolicy.TRANSIENT_LOCAL})
         self._resolve_types()
-        for topic in list(self._reliable):
+        for topic, subscription in list(self._raw_subscriptions.items()):
+            if subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
+                continue
             offers = {info.qos_profile.reliability for info in self._publisher_infos(topic)}
             if ReliabilityPolicy.BEST_EFFORT in offers:
-                self._reliable.remove(topic)
-                kind = self._raw_subscriptions[topic].msg_type
-                self._node.destroy_subscription(self._raw_subscriptions[topic])
-                self._subscribe(kind, topic, best_effort_qos())
+                self._node.destroy_subscription(subscription)
+                self._subscribe(subscription.msg_type, topic, best_effort_qos())
         self.single_publisher_topics = {topic for topic, count in self.publishers().items() if count == 1}
 
     def _publisher_infos(self, topic: str) -> list[Any]:
@@ -87,7 +86,6 @@ class RawSubscriptions:
                 self.not_recorded[topic] = f"not recorded: {error}"
                 self._node.get_logger().warning(f"cannot record {topic} ({type_name}): {error}")
             return
-        self._reliable.add(topic)
         self._subscribe(kind, topic, latched_qos(_LATCHED_DEPTH) if is_latched else reliable_qos())
 
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile) -> None:

@@ -46,8 +46,8 @@ class SickNode(DriverNode[SickParameters, bytes]):
 
     def activate(self) -> None:
         """Open the link, and run the dialogue in a thread: an rclpy timer costs ten times as much."""
-        super().activate()
         self._ending = threading.Event()
+        super().activate()
         step = self.callback_failures.guard(self._step_dialogue, "dialogue", recover=self.restart_decoding)
         self._dialogue_thread = threading.Thread(target=self._run_dialogue, args=(step,), daemon=True)
         self._dialogue_thread.start()
@@ -56,7 +56,8 @@ class SickNode(DriverNode[SickParameters, bytes]):
         """Stop the scanner's stream, then close the port."""
         self._ending.set()
         self._dialogue_thread.join()
-        self._session.stop()
+        with self._lock:
+            self._session.stop()
         deadline_s = time.monotonic() + _STOP_TIMEOUT
         while self._session.phase is not Phase.STOPPED and time.monotonic() < deadline_s:
             self._step_dialogue()
@@ -94,9 +95,11 @@ class SickNode(DriverNode[SickParameters, bytes]):
         return entries
 
     def restart_decoding(self) -> None:
-        """Restart the dialogue, after a port was opened."""
+        """Restart the dialogue, after a port was opened; during a deactivation, only stop the scanner."""
         with self._lock:
             self._session = SickSession(self.settings, self.tally)
+            if self._ending.is_set():
+                self._session.stop()
             self._scan_status = DeviceStatus.from_byte(0)
 
     def _run_dialogue(self, step: Callable[[], None]) -> None:

@@ -276,7 +276,8 @@ class SickSession:
         self._inbox.clear()
         self._write = make_telegram(command, TO_SENSOR)
         ack_ns = round(self._parameters.ack_timeout * _NS_PER_S)
-        reply_ns = round((reply_timeout or self._parameters.mode_timeout) * _NS_PER_S)
+        reply_s = self._parameters.mode_timeout if reply_timeout is None else reply_timeout
+        reply_ns = round(reply_s * _NS_PER_S)
         answer: Answer = None
         deadline_ns = self._now_ns + self._transfer_ns(len(self._write)) + ack_ns
         # A streaming scanner acknowledges after the end of its present telegram.

@@ -90,7 +90,9 @@ class JointMotion:
 
     def _differenced_speeds(self, stamp_ns: int, angles: tuple[float, float]) -> tuple[float, float]:
         """Differenced positions, rad/s; zero for the first. The estimator prefers the positions."""
-        last, self._last = self._last, (stamp_ns, angles)
+        last = self._last
+        if all(map(math.isfinite, angles)):
+            self._last = stamp_ns, angles
         if last is None or stamp_ns <= last[0]:
             return 0.0, 0.0
         seconds = (stamp_ns - last[0]) * 1e-9

@@ -266,15 +266,11 @@ def judge_delays(delays: list[SourceDelay]) -> tuple[list[Cause], list[OpenQuest
     }
     if not significant:
         return [], []
-    scores = {}
-    for source in {topic for key in values for topic in key}:
-        with_source = [key for key in values if source in key]
-        without = [key for key in values if source not in key]
-        if all(key in significant for key in with_source) and not any(key in significant for key in without):
-            scores[source] = len(with_source) + len(without)
-    (best, *others) = sorted(scores, key=lambda p: -scores[p]) or [""]
-    if not best:
+    topics = dict.fromkeys(topic for key in values for topic in key)
+    suspects = [p for p in topics if all((p in key) == (key in significant) for key in values)]
+    if not suspects:
         return [], []
+    best = suspects[0]
     pairs = [key for key in values if best in key]
     if len(values) == 1:
         (a, b), (value, _) = next(iter(values.items()))
@@ -285,7 +281,7 @@ def judge_delays(delays: list[SourceDelay]) -> tuple[list[Cause], list[OpenQuest
         return [], [OpenQuestion(what, "record a third source (gyro or fixes) while turning left and right")]
     signed = [(values[key][0] if key[1] == best else -values[key][0], values[key][1]) for key in pairs]
     value, stddev = min(signed, key=lambda v: v[1])
-    if others and scores[others[0]] == scores[best] and len(values) < 3:
+    if len(suspects) > 1:
         what = f"{best} is off by {abs(value):.2f} s against one other source only"
         return [], [OpenQuestion(what, "turn left and right by 90° once each with all sources recorded")]
     evidence = (

@@ -55,11 +55,11 @@ class RunningCheck:
         if row is None:
             return
         key, values = row
-        rows = self._rows.get(key)
-        if rows is None:
-            rows = self._rows.setdefault(key, deque(maxlen=_MOST_READINGS))
-        if not rows or not 0 <= m.stamp_ns - rows[-1][0] < _PERIOD_NS:
-            with self._lock:
+        with self._lock:
+            rows = self._rows.get(key)
+            if rows is None:
+                rows = self._rows[key] = deque(maxlen=_MOST_READINGS)
+            if not rows or not 0 <= m.stamp_ns - rows[-1][0] < _PERIOD_NS:
                 rows.append((m.stamp_ns, values))
 
     def restart(self, p: SlipEstimatorParameters) -> None:
@@ -67,10 +67,15 @@ class RunningCheck:
         with self._lock:
             self._parameters = p
             self._rows = {}
+            self._was_open = False
             self.result = Result()
 
     def evaluate(self) -> Result:
-        """Run the check on the kept measurements; return, and keep, the causes that hold now."""
+        """Run the check on the kept measurements; return, and keep, the causes that hold now.
+
+        The result of an evaluation during which the check restarts is dropped.
+        """
+        evaluated_rows = self._rows
         columns = self._columns(LONGEST_S)
         result = self._check_columns(columns)
         if result.causes:
@@ -81,11 +86,14 @@ class RunningCheck:
                 self._remove_older(RECENT_S)
             result = Result(causes, result.undetermined, result.facts)
         is_open = bool(result.open_questions)
-        if is_open and not self._was_open:
-            undetermined = tuple(replace(question, is_wrong=False) for question in result.undetermined)
-            result = replace(result, undetermined=undetermined)
-        self._was_open = is_open
-        self.result = result
+        with self._lock:
+            if self._rows is not evaluated_rows:
+                return self.result
+            if is_open and not self._was_open:
+                undetermined = tuple(replace(question, is_wrong=False) for question in result.undetermined)
+                result = replace(result, undetermined=undetermined)
+            self._was_open = is_open
+            self.result = result
         return result
 
     def _check_columns(self, columns: Columns) -> Result:
