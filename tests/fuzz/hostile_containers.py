@@ -60,6 +60,13 @@ _FIELDS: dict[tuple[Any, ...], tuple[Any, ...]] = {
 }
 
 
+class _WholeDumper(yaml.Dumper):
+    """Writes repeated values in full, without aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
 def metadata() -> Family:
     """Each field of ``metadata.yaml`` with hostile values, and texts that are no metadata."""
     for names, values in _FIELDS.items():
@@ -130,8 +137,7 @@ def _with_tree(change: Callable[[dict[str, Any]], None], folder: Path) -> Path:
     bag = write(good(), folder)
     tree = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
     change(tree[_INFORMATION])
-    yaml.Dumper.ignore_aliases = lambda *_: True  # type: ignore[method-assign]
-    text = yaml.dump(tree, sort_keys=False, Dumper=yaml.Dumper)
+    text = yaml.dump(tree, sort_keys=False, Dumper=_WholeDumper)
     (bag / "metadata.yaml").write_bytes(text.encode("utf-8", "surrogateescape"))
     return bag
 

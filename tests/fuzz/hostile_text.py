@@ -96,12 +96,12 @@ def _swapped(draw: random.Random, content: bytes, other: bytes) -> bytes:
         lines[k] = json.dumps(tree[0], default=str, skipkeys=True).encode()
         return b"\n".join(lines)
     try:
-        trees = [yaml.safe_load(text) for text in (content, other)]
+        tree, branches = ([yaml.safe_load(text)] for text in (content, other))
     except yaml.YAMLError:
         return _damaged(draw, content, other)
     for _time in range(draw.choice((1, 1, 1, 3))):
-        _swap(draw, trees[:1], trees[1:])
-    return str(yaml.safe_dump(trees[0], sort_keys=False)).encode("utf-8", "replace")
+        _swap(draw, tree, branches)
+    return str(yaml.safe_dump(tree[0], sort_keys=False)).encode("utf-8", "replace")
 
 
 def _swap(draw: random.Random, tree: list[Any], other: list[Any]) -> None:

@@ -47,9 +47,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture
 def domain() -> Iterator[int]:
     """A ROS domain that no other test and no running graph uses: locked among tests, its DDS ports free."""
+    first = os.getpid() * 31 + time.monotonic_ns()
     with ExitStack() as locks:
         for offset in range(len(_DOMAINS)):
-            number = _DOMAINS[(os.getpid() * 31 + time.monotonic_ns() + offset) % len(_DOMAINS)]
+            number = _DOMAINS[(first + offset) % len(_DOMAINS)]
             path = Path(tempfile.gettempdir()) / f"trackslip_test_domain_{number}.lock"
             lock = locks.enter_context(path.open("a"))
             try:

@@ -2,9 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulator node: when it starts the machine, and the frames of its truth and its sensors."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.own_node import started
+from std_msgs.msg import String
+
+from trackslip_sim.nodes.emulator import EmulatorNode
 
 pytestmark = pytest.mark.xdist_group("graph")
 TRUTH = ("odometry", "track_slip", "track_forces", "attitude", "soil")
@@ -58,3 +63,16 @@ def test_machine_that_waits_can_be_deactivated_and_activated_again(programs: Any
     observer.wait_until_active("/emulator")
     for transition in ("deactivate", "activate", "deactivate", "cleanup", "configure"):
         assert observer.change("/emulator", transition), transition
+
+
+def test_fault_of_one_drive_is_not_applied_to_the_next(
+    domain: int, can: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(EmulatorNode, "_run_devices", lambda *_: None)  # takes no fault from the queue
+    drive = {"device_directory": str(tmp_path / "dev"), "scenario": "straight", "mode": "thesis"}
+    with started(EmulatorNode, domain, **drive, **can) as node:
+        node._on_fault(String(data="{sensor: sick, kind: unplug, duration: 5}"))
+        assert not node._requested_faults.empty()
+        node.trigger_deactivate()
+        node.trigger_activate()
+        assert node._requested_faults.empty()

@@ -73,6 +73,16 @@ def test_two_demos_use_different_domains(monkeypatch):
         assert again == first
 
 
+@pytest.mark.parametrize("text", ["102", "500", "-1", "one", "9999"])
+def test_domain_outside_0_to_101_is_refused(monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with (
+        pytest.raises(InputError, match=f"ROS_DOMAIN_ID: '{text}' is no domain; accepted: 0 to 101"),
+        claimed_domain(),
+    ):
+        pass
+
+
 def test_links_are_not_followed_when_results_are_replaced(tmp_path):
     output, mine = tmp_path / "demo", tmp_path / "archive"
     mine.mkdir()

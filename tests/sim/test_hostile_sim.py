@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hostile texts and full disks, given to the emulator and to ``trackslip simulate``."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,23 +11,26 @@ import pytest
 from trackslip_common.errors import InputError
 from trackslip_sim.machine.faults import parse_fault
 
-FAULTS = {
-    "a_bad_date": "{sensor: laser, kind: unplugged, start: 2026-13-45}",
-    "5000_brackets": "[" * 5000,
-    "a_huge_number": f"{{sensor: laser, kind: unplugged, start: {'7' * 5000}}}",
-    "an_infinite_number": "{sensor: laser, kind: unplugged, start: 1e400}",
-    "no_number": "{sensor: laser, kind: unplugged, start: .nan}",
-    "a_list_for_a_name": "{sensor: [laser], kind: {a: b}}",
-    "a_number_for_a_key": "{sensor: sick, kind: unplug, duration: 3.1,5}",
-    "escapes": '{sensor: "\\e[2J", kind: unplugged}',
-    "nothing": "",
+FAULTS = {  # defect → text, and what the refusal names
+    "a_bad_date": ("{sensor: sick, kind: unplug, start: 2026-13-45, duration: 1}", "not YAML"),
+    "5000_brackets": ("[" * 5000, "nested too deep"),
+    "a_huge_number": (f"{{sensor: sick, kind: unplug, start: {'7' * 5000}, duration: 1}}", "beyond 64 bits"),
+    "an_infinite_start": ("{sensor: sick, kind: unplug, start: 1e400, duration: 1}", "start = inf"),
+    "no_number_for_a_start": ("{sensor: sick, kind: unplug, start: .nan, duration: 1}", "start = nan"),
+    "no_number_for_a_duration": ("{sensor: sick, kind: unplug, duration: .nan}", "duration = nan"),
+    "no_number_for_a_value": ("{sensor: sick, kind: glare, duration: 1, value: .nan}", "value = nan"),
+    "a_list_for_a_name": ("{sensor: [sick], kind: {a: b}, duration: 1}", "sensor = ['sick']"),
+    "a_number_for_a_key": ("{sensor: sick, kind: unplug, duration: 3.1,5}", "unknown key '5'"),
+    "escapes": ('{sensor: "\\e[2J", kind: unplug, duration: 1}', "has no unplug"),
+    "nothing": ("", "accepted: a mapping"),
 }
 
 
 @pytest.mark.parametrize("defect", FAULTS)
-def test_a_hostile_fault_is_refused_in_one_line(defect: str) -> None:
-    with pytest.raises(InputError) as refused:
-        parse_fault(FAULTS[defect], 0.0)
+def test_a_hostile_fault_is_refused_for_its_defect_in_one_line(defect: str) -> None:
+    text, reason = FAULTS[defect]
+    with pytest.raises(InputError, match=re.escape(reason)) as refused:
+        parse_fault(text, 0.0)
     assert str(refused.value).isprintable()
 
 

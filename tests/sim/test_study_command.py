@@ -13,15 +13,21 @@ import numpy as np
 import pytest
 
 from trackslip_common.compiling import DESK_TEXT
-from trackslip_estimation.slip import sources
+from trackslip_common.parameters import to_flat
+from trackslip_estimation import attitude, kalman, slip, terramechanics
+from trackslip_estimation.slip import bank, sources
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_sim.study.engine import TABLE_HEADER
+from trackslip_sim import truth
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.study.cache import source_files
+from trackslip_sim.study.engine import TABLE_HEADER, Study
 from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.figures import run_figures, terrain_figure
 from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
+from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli.main import main
 from trackslip_tools.terminal_text import WIDTH, format_for_terminal
 
@@ -88,6 +94,19 @@ def test_cache_key_of_a_drawn_cell_includes_the_source_defaults(monkeypatch: pyt
     other = {**defaults, "pose_sources": {**defaults["pose_sources"], "stamp_error": 0.06}}
     monkeypatch.setattr(sources, "_defaults", lambda: other)
     assert before != _drawn().depends_on(cell)
+
+
+@pytest.mark.parametrize("study", [SlipStudy, SoilStudy])
+def test_cache_key_includes_all_sources_of_filters_and_truth(study: type[Study[Any, Any]]) -> None:
+    used = source_files((attitude, kalman, slip, terramechanics, truth))
+    assert bank.__file__ in map(str, used)
+    assert set(used) <= set(source_files(study.SOURCES))
+
+
+def test_cache_key_of_a_slip_cell_includes_the_noise_of_the_emulated_sensors() -> None:
+    study = _drawn()
+    noise = study.depends_on(next(iter(study.cells)))["noise"]
+    assert noise == to_flat(load_emulator_parameters({}).noise)
 
 
 def _drawn() -> SlipStudy:

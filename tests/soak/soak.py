@@ -185,11 +185,11 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
         for (node, quantity), g in growths(samples).items()
         if g.per_hour - g.uncertainty > LIMITS.get(quantity, math.inf)
     ]
-    notes = [*(f"- {text} ({count} times)" for text, count in sorted(monitor.errors.items())), *grown]
-    notes += [f"- {name} ended with exit code {code}" for name, code in ended.items()]
-    notes += [] if monitor.totals["estimates"] else ["- the slip estimator published no estimates"]
+    notes = [*(f"{text} ({count} times)" for text, count in sorted(monitor.errors.items())), *grown]
+    notes += [f"{name} ended with exit code {code}" for name, code in ended.items()]
+    notes += [] if monitor.totals["estimates"] else ["the slip estimator published no estimates"]
     heading = f"{what}, {len(samples)} samples, on {os.cpu_count()} cores."
-    text = page(samples, monitor.totals, heading) + "\n" + "".join(f"{note}\n" for note in notes)
+    text = page(samples, monitor.totals, heading) + "\n" + "".join(f"- {note}\n" for note in notes)
     (OUT / "soak.md").write_text(text, encoding="utf-8")
     print(text)
     lost = monitor.totals["reports missing"] or not monitor.totals["estimates"]

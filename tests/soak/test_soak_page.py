@@ -3,10 +3,14 @@
 """A soak reports leaks, and does not report noise as a leak."""
 
 import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import soak
 from soak_page import Sample, growth, growths, page
 
 
@@ -65,3 +69,15 @@ def test_page_lists_only_series_present_in_every_sample() -> None:
     text = page(samples, {"messages lost": 0}, "forty samples")
     assert "| slip_estimator | RSS (MB) | 213 | 238 | 360 ± " in text
     assert "- messages lost: 0" in text
+
+
+def test_each_note_of_the_page_is_an_item_of_a_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(soak, "OUT", tmp_path)
+    samples = [
+        Sample(k * 10.0, {("record", "threads"): 9.0 + k, ("player", "open files"): 5.0 + k})
+        for k in range(40)
+    ]
+    monitor: Any = SimpleNamespace(totals={"estimates": 1, "reports missing": 0}, errors={"record: full": 2})
+    soak._conclude(samples, monitor, "forty samples", {"player": 1})
+    notes = (tmp_path / "soak.md").read_text().rpartition("|\n")[2].strip().splitlines()
+    assert [note[:2] for note in notes] == ["- "] * 4

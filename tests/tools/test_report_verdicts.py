@@ -130,7 +130,7 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
         (
             "Replay = live",
             lambda r: changed(r, live=LiveComparison(10, 3, 0.5, lost_reports=1, lost_inputs=2)),
-            "3 unmatched, 2 measurements and 1 reports lost",
+            "unmatched: 3, lost measurements: 2, lost reports: 1",
         ),
         (
             "Rates",

@@ -32,6 +32,7 @@ seed: 1
 parameters:
   sources.box_pose.timeout: {low: 0.1, high: 3.0, scale: log}
   gate_relaxation: {low: 2.0, high: 20.0}
+  sources.*.heading_floor: {low: 1.0e-4, high: 0.3, scale: log}
 """
 
 

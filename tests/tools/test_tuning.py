@@ -22,10 +22,11 @@ from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
 from trackslip_tools.replay.dead_reckoning import Path as Track
 from trackslip_tools.replay.scoring import nees_of_each, path_of, score
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence
+from trackslip_tools.tuning.evidence import table as evidence_table
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import Plan, change_parameters
 from trackslip_tools.tuning.task import Job, Score, Task, make_task, score_of
-from trackslip_tools.tuning.tuner import ScoreJobs, Tuner, Tuning
+from trackslip_tools.tuning.tuner import Fold, ScoreJobs, Tuner, Tuning
 from trackslip_tools.workers import open_workers
 
 SEGMENTS = [
@@ -180,6 +181,30 @@ def test_values_that_overfit_their_bags_are_reported_as_no_better(
     write_evidence(tmp_path / "out", result, p)
     assert "are not better off" in (tmp_path / "out" / TABLE).read_text()
     assert not numbers(result)["improves_unseen"]
+
+
+def test_tuning_that_changes_nothing_is_no_improvement(tmp_path: Path) -> None:
+    same = [Fold(0, {}, score_at(0.1)), Fold(1, {}, score_at(0.2))]
+    left_out, one_bag = tuning_of(tmp_path, [0.1, 0.2], same), tuning_of(tmp_path, [0.1], [])
+    assert not left_out.improves_unseen
+    assert not one_bag.improves_unseen
+    assert "Bags that were left out are not better off on average." in evidence_table(left_out)
+    assert "Bags are not better off on average." in evidence_table(one_bag)
+
+
+def test_score_of_a_left_out_bag_is_compared_with_that_of_the_same_bag(tmp_path: Path) -> None:
+    assert tuning_of(tmp_path, [0.1, 0.4], [Fold(1, {}, score_at(0.2))]).improves_unseen
+
+
+def tuning_of(folder: Path, positions: Sequence[float], folds: list[Fold]) -> Tuning:
+    """A tuning that leaves the position errors (m) of the bags as they are."""
+    scores = [score_at(position) for position in positions]
+    names = [f"bag{k}" for k in range(len(scores))]
+    return Tuning(plan_of(folder, objective="position"), names, {}, {}, scores, scores, folds)
+
+
+def score_at(position: float) -> Score:
+    return Score(0.0, {}, {}, position, 0.0, 3.0, 0.0)
 
 
 @pytest.mark.slow

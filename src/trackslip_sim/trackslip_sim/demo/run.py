@@ -35,7 +35,8 @@ from trackslip_tools.cli.outputs import write_json
 from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
 _MAX_DURATION = 3600.0  # s
-_FIRST_DOMAIN, _DOMAIN_COUNT = 1, 100  # domains up to 101 use no ephemeral ports
+_FIRST_DOMAIN, _DOMAIN_COUNT = 1, 100
+_LAST_DOMAIN = 101  # later ones use ephemeral ports
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -176,7 +177,7 @@ def claimed_domain() -> Iterator[int]:
     The domain of ``ROS_DOMAIN_ID``, or a free one; reserved until the exit.
 
     Raises:
-        InputError: another demo runs in the domain, or ``ROS_DOMAIN_ID`` is not a number.
+        InputError: another demo runs in the domain, or ``ROS_DOMAIN_ID`` is not one of 0 to 101.
     """
     requested = os.environ.get("ROS_DOMAIN_ID")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
@@ -189,8 +190,8 @@ def claimed_domain() -> Iterator[int]:
 
 def _candidate_domains(requested: str | None) -> list[int]:
     if requested:
-        if not requested.isascii() or not requested.isdigit():
-            raise InputError(f"ROS_DOMAIN_ID: '{requested}' is no domain; accepted: 0 to 101")
+        if requested not in map(str, range(_LAST_DOMAIN + 1)):
+            raise InputError(f"ROS_DOMAIN_ID: '{requested}' is no domain; accepted: 0 to {_LAST_DOMAIN}")
         return [int(requested)]
     return [_FIRST_DOMAIN + (os.getpid() + k) % _DOMAIN_COUNT for k in range(_DOMAIN_COUNT)]
 

@@ -56,7 +56,6 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             name: self.advertise(topic_class(name), name) for name in swing_topics(p.vehicle)
         }
         self._ports = EmulatorPorts(p)
-        self._requested_faults: queue.SimpleQueue[Fault] = queue.SimpleQueue()
         self._faults_refused = 0
         self.subscribe(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
 
@@ -87,6 +86,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self._finished = False
         self._failure_text = ""
         self._stopping = threading.Event()
+        self._requested_faults: queue.SimpleQueue[Fault] = queue.SimpleQueue()
         self._excavator = EmulatedExcavator(self.settings, self._truth, time.time_ns())
         self._thread = threading.Thread(
             target=self._run_devices, args=(self._excavator, self._ports), name="excavator", daemon=True

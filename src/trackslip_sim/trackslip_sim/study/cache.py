@@ -8,7 +8,7 @@ estimators, truth and study.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -71,7 +71,11 @@ def key_of(parts: Mapping[str, Any], *modules: ModuleType) -> str:
 @cache
 def _sources(modules: tuple[ModuleType, ...]) -> str:
     digest = hashlib.sha256()
-    for module in modules:
-        for path in sorted(Path(str(module.__file__)).parent.glob("*.py")):
-            digest.update(path.read_bytes())
+    for path in source_files(modules):
+        digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def source_files(modules: Sequence[ModuleType]) -> list[Path]:
+    """The source files in the folders of the modules, at any depth."""
+    return [path for m in modules for path in sorted(Path(str(m.__file__)).parent.rglob("*.py"))]

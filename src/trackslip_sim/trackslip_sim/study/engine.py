@@ -65,7 +65,7 @@ class Study(ABC, Generic[Piece, Result]):
     UNIT: ClassVar[str]  # name of the pieces in the progress bar
     PARAMETERS: ClassVar[Mapping[str, str]]  # option → parameter
     RESULT: ClassVar[type[Any]]  # result of a piece, a dataclass
-    SOURCES: ClassVar[Sequence[ModuleType]]  # results depend on all files in the folders of these
+    SOURCES: ClassVar[Sequence[ModuleType]]  # results depend on all files below the folders of these
     FILE: ClassVar[str]  # name of the tables' file
 
     cells: Mapping[Any, Sequence[Piece]]

@@ -145,8 +145,10 @@ def _check_live(run: Run, _: VerdictLimits) -> Verdict:
     if live.matches:
         as_far_as = f", but not from where {breaks[0].why}" if breaks else ""
         return _make_verdict(True, value, f"The replay repeats what the machine computed{as_far_as}.")
-    lost = f"{live.unmatched} unmatched, {live.lost_inputs} measurements and {live.lost_reports} reports lost"
-    return _make_verdict(False, value, f"Replay and live estimates differ ({lost}).")
+    lost = f"lost measurements: {live.lost_inputs}, lost reports: {live.lost_reports}"
+    return _make_verdict(
+        False, value, f"Replay and live estimates differ (unmatched: {live.unmatched}, {lost})."
+    )
 
 
 def _check_position(run: Run, limits: VerdictLimits) -> Verdict:

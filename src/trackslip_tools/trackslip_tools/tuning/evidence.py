@@ -92,8 +92,9 @@ def table(tuning: Tuning) -> str:
     )
     if tuning.folds:
         notes += " Unseen: with the values found on the other bags alone, whose range the first table gives."
-        negation = "" if tuning.improves_unseen else "not "
-        notes += f"\n\nBags that were left out are {negation}better off on average."
+    bags = "Bags that were left out" if tuning.folds else "Bags"
+    negation = "" if tuning.improves_unseen else "not "
+    notes += f"\n\n{bags} are {negation}better off on average."
     parts = (
         *markdown_table(["parameter", "before", "after", "without one bag"], values, 1),
         "",

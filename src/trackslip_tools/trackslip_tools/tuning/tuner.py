@@ -45,11 +45,11 @@ class Tuning:
     def improves_unseen(self) -> bool:
         """Whether the left-out bags improve on average; without folds, whether all bags do on average."""
         objective = self.plan.settings.objective
-        scores = [fold.score for fold in self.folds] or self.after
+        scores = {fold.bag: fold.score for fold in self.folds} or dict(enumerate(self.after))
         changes = [
-            cost(objective, score) - cost(objective, self.before[bag]) for bag, score in enumerate(scores)
+            cost(objective, score) - cost(objective, self.before[bag]) for bag, score in scores.items()
         ]
-        return sum(changes) <= 0.0
+        return sum(changes) < 0.0
 
 
 class Tuner:

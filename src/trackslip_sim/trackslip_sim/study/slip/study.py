@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
-from trackslip_estimation import attitude, kalman, slip
-from trackslip_estimation.slip import models
+from trackslip_estimation import attitude, kalman, slip, terramechanics
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim import machine
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.engine import NO_VALUE, Columns, Study, Workers, map_pieces, spaced_name, table_lines
@@ -172,7 +172,10 @@ class SlipStudy(Study[Cell, Row]):
         | {name: name for name in ("seeds", "scenario", "duration", "settling")}
     )
     RESULT: ClassVar[type[Any]] = Row
-    SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, attitude, slip, models, shear, machine, kernels)
+    SOURCES: ClassVar[Sequence[ModuleType]] = (
+        *(kalman, attitude, slip, terramechanics),
+        *(shear, machine, kernels),
+    )
     FILE: ClassVar[str] = "study_table.md"
 
     def __init__(self, parameters: Mapping[str, Any], settings: Sequence[str]) -> None:
@@ -189,6 +192,7 @@ class SlipStudy(Study[Cell, Row]):
             "study": {name: value for name, value in to_flat(self._p).items() if name not in _GRID},
             "estimator": to_flat(self._estimator),
             "drawn": to_flat(drawn_machine_parameters(self._estimator)),
+            "noise": to_flat(load_emulator_parameters({}).noise),
             "truth": to_flat(load_settings()),
             "scenario": repr(load_scenario(self._p.scenario)),
         }

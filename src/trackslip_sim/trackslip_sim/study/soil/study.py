@@ -9,10 +9,9 @@ from typing import Any, ClassVar
 
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
-from trackslip_estimation import kalman, terramechanics
+from trackslip_estimation import attitude, kalman, terramechanics
 from trackslip_estimation import slip as slip_estimator
 from trackslip_estimation import soil as soil_estimator
-from trackslip_estimation.slip import models
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
@@ -107,7 +106,7 @@ class SoilStudy(Study[Trial, Result]):
     )
     RESULT: ClassVar[type[Any]] = Result
     SOURCES: ClassVar[Sequence[ModuleType]] = (
-        *(kalman, slip_estimator, models, soil_estimator, terramechanics),
+        *(kalman, attitude, slip_estimator, soil_estimator, terramechanics),
         *(sensors, shear, score),
     )
     FILE: ClassVar[str] = "soil_table.md"
