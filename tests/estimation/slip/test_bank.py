@@ -428,6 +428,21 @@ def test_failed_encoders_are_found_beside_velocities_of_a_receiver(
     assert np.mean(nees > 13.8) < 0.05
 
 
+@pytest.mark.parametrize("fix_rate", [1, 5])
+def test_sprockets_that_show_zero_recover_only_when_they_show_a_motion(fix_rate: int) -> None:
+    """Encoders show 0 from 20 s on; the machine halts at 30 s, where they are right by chance, until 45 s."""
+    machine = Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate)
+    recording = drive(replace(machine, stuck=(30.0, 45.0)))
+    broken = with_scaled_sprockets(recording, (0.0, 0.0), 20.0, 50.0)
+    halted = [m for m in broken if m.stamp_ns / S - 1.0 < 44.0]
+    error, _, estimator = errors(halted, recording, parameters(**GNSS))
+    assert events(estimator)[-1] is Event.FAILED
+    error, nees, estimator = errors(broken, recording, parameters(**GNSS))
+    assert events(estimator)[-1] is Event.RECOVERED
+    assert error[-error.size // 12 :].max() < 0.15
+    assert np.mean(nees > 13.8) < 0.05
+
+
 @pytest.mark.parametrize("factors", [(0.0, 0.0), (1.0, -1.0)], ids=["both 0", "right reversed"])
 @pytest.mark.parametrize("fix_rate", [1, 5])
 def test_failed_encoders_are_found_before_the_heading_is_known(

@@ -78,6 +78,12 @@ def set_interval_speeds(
 
 
 @compiled
+def shows_standstill(sample: SprocketSample, c: Config) -> bool:
+    """Whether the sprocket speeds of a sample count as zero."""
+    return bool(max(abs(sample.speeds.left), abs(sample.speeds.right)) <= c.motion_limits.standing_speed)
+
+
+@compiled
 def _encoder_speeds(
     sample: SprocketSample, closing: MeasurementRecord, c: Config
 ) -> tuple[float, float, float]:

@@ -70,6 +70,7 @@ from trackslip_estimation.slip.source_faults import (
     unknown_position_stddev,
 )
 from trackslip_estimation.slip.source_offsets import has_mostly_correlated_errors, pose_source_number
+from trackslip_estimation.slip.sprockets import shows_standstill
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -281,7 +282,9 @@ def _make_recovery_children(window: Window, p: int, k: int, contradicts: bool, c
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
         add_child(window, p, k, BECAME_JUMP, source, 0, False, prior, c)
     for unit in range(MOST_SOURCES):
-        if m.kind in (POSE, VELOCITY) and is_failed(before.fault[unit]):
+        if m.kind not in (POSE, VELOCITY) or not is_failed(before.fault[unit]):
+            continue
+        if unit != TRACKS or not shows_standstill(before.sample, c):  # failed encoders often show 0
             add_child_since_snapshot(window, p, k, RECOVERED, unit, 0, 0.0, c)
 
 
