@@ -98,9 +98,18 @@ def test_ctrl_c_lost_at_exit_keeps_the_exit_code() -> None:
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_node_whose_middleware_hung_at_exit_is_ended() -> None:
-    """An alarm ends a process whose exit handlers never return."""
+@pytest.mark.parametrize(
+    ("main", "code"),
+    [("lambda: 3", 3), ("lambda: sys.exit(4)", 4), ("lambda: sys.exit('refused')", 1), ("lambda: 1 / 0", 1)],
+)
+def test_program_whose_middleware_hangs_at_exit_ends_with_its_own_code(main: str, code: int) -> None:
+    """Exit handlers of libraries that never return are not called."""
     done = subprocess.run(
-        [sys.executable, "-c", HANGING], stderr=subprocess.PIPE, timeout=PATIENCE, check=False
+        [sys.executable, "-c", HANGING.replace("int", main)],
+        capture_output=True,
+        timeout=PATIENCE,
+        check=False,
     )
-    assert (done.returncode, done.stderr) == (-signal.SIGALRM, b"")
+    assert done.returncode == code
+    assert (b"refused" in done.stderr) == ("refused" in main)
+    assert (b"ZeroDivisionError" in done.stderr) == ("/" in main)

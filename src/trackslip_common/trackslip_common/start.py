@@ -3,6 +3,7 @@
 """Starts an executable so that Ctrl-C is quiet from the beginning, even while its imports load."""
 
 import atexit
+import contextlib
 import gc
 import importlib
 import os
@@ -13,9 +14,9 @@ from typing import Any, NoReturn
 from trackslip_common.errors import ExitCode
 
 _REPEAT_DELAY = 0.1  # s until a lost interrupt is raised again
-_EXIT_TIMEOUT = 5.0  # s for the clean-up of libraries, which takes ms
 _GARBAGE_THRESHOLD = 1_000_000
 _received_signals: list[int] = []  # each SIGINT
+_exit_codes: list[int] = []
 
 
 class Interrupted(KeyboardInterrupt):
@@ -33,15 +34,19 @@ def start(module: str, interrupt_code: ExitCode = ExitCode.DONE) -> NoReturn:
     is not installed is named in one line.
     """
     signal.signal(signal.SIGINT, lambda *_: os._exit(interrupt_code))  # nothing is open yet
+    atexit.register(_end_process)  # registered first, called last
     try:
         main = importlib.import_module(module).main
     except ModuleNotFoundError as error:
         program = module.rpartition(".")[2]
         print(f"{program}: {error} (docs/install.md)", file=sys.stderr)
-        sys.exit(ExitCode.BAD_INPUT)
-    atexit.register(_limit_exit_time)  # registered first, called last
+        _exit(ExitCode.BAD_INPUT)
     repeat_lost_interrupts()
-    sys.exit(main())
+    try:
+        code = main()
+    except SystemExit as error:
+        code = error.code
+    _exit(code)
 
 
 def collect_garbage_seldom(objects: int = _GARBAGE_THRESHOLD) -> None:
@@ -84,14 +89,22 @@ def repeat_lost_interrupts() -> None:
     sys.unraisablehook = unraisable
 
 
-def _limit_exit_time() -> None:
-    """Kill the process by an alarm if a library's clean-up hangs after Python's own end.
+def _exit(code: str | int | None) -> NoReturn:
+    """End as ``sys.exit`` does."""
+    _exit_codes.append(code if isinstance(code, int) else int(code is not None))
+    sys.exit(code)
+
+
+def _end_process() -> None:
+    """End the process before libraries clean up, which may hang: after an exception with code 1.
 
     Fast DDS 2.14 waits there for its own thread, at full load and forever, if another node leaves the graph
-    at the wrong moment.
+    at the wrong moment. Python has ended its threads and called all other exit handlers before.
     """
-    signal.setitimer(signal.ITIMER_REAL, _EXIT_TIMEOUT)
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    with contextlib.suppress(OSError, ValueError):  # the reader has gone
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(_exit_codes[-1] if _exit_codes else 1)
 
 
 def was_interrupted() -> bool:
