@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.gate import log_density_of_rejection
+from trackslip_estimation.slip.gate import log_probability_of_rejection
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.turning import EFFICIENCY
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -217,5 +217,5 @@ def test_rejections_cost_a_branch_as_much_at_any_rate(rate: float) -> None:
     p = load_slip_parameters()
     c = SlipEstimator(p).config[0]
     cost_of_one = math.log(p.bank.initial_outlier_share)
-    per_second = rate * float(log_density_of_rejection(1.0 / rate, c))
+    per_second = rate * float(log_probability_of_rejection(1.0 / rate, c))
     assert per_second == pytest.approx(cost_of_one / c["velocity_errors"]["time"])

@@ -60,8 +60,8 @@ def update_rejection_time(state: State, measurement: MeasurementRecord, c: Confi
 
 
 @compiled
-def log_density_of_rejection(elapsed: float, c: Config) -> float:
-    """Evidence of a branch that rejects a measurement ``elapsed`` s after the previous one of its source.
+def log_probability_of_rejection(elapsed: float, c: Config) -> float:
+    """ln of the probability of a rejection, ``elapsed`` s after the source's previous measurement.
 
     Velocity errors last for τ, so rejections within τ together count as one outlier.
     """

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.gate import log_density_of_rejection, update_rejection_time
+from trackslip_estimation.slip.gate import log_probability_of_rejection, update_rejection_time
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observations.gyro import bias_index, observe_rate, update_with_rate
 from trackslip_estimation.slip.observations.odometry import update_with_odometry
@@ -60,7 +60,7 @@ def apply_measurement(
     else:
         update_with_slips(state, measurement, c, update, prior)
     if update.outcome == _GATED and state.fault[measurement.source] == IS_HEALTHY:
-        update.evidence = log_density_of_rejection(elapsed, c)
+        update.evidence = log_probability_of_rejection(elapsed, c)
 
 
 @compiled

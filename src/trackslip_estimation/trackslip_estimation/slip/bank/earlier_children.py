@@ -51,7 +51,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _LOG_SECTORS = math.log(HEADINGS)
-_MOVED_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
+_FARTHER_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
+_FARTHER_STDDEVS = 3.0  # standard deviations of that displacement, beyond which it is longer
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
@@ -189,7 +190,7 @@ def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> b
 def _is_farther_than_tracks(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether consecutive fixes up to k show to branch p a longer displacement than tracks with any slip."""
     snapshot, before = window.branches[p, k - 1].snapshots[OLDER], window.states[p, k - 1]
-    if window.measurements[k].kind != POSE or snapshot.fixes < _MOVED_FIXES:
+    if window.measurements[k].kind != POSE or snapshot.fixes < _FARTHER_FIXES:
         return False
     then, update = window.states[snapshot.slot, snapshot.entry], update_of(window, p, k)
     by_tracks = math.hypot(
@@ -199,7 +200,7 @@ def _is_farther_than_tracks(window: Window, p: int, k: int, c: Config) -> bool:
         update.measured_position[X] - then.mean[X], update.measured_position[Y] - then.mean[Y]
     )
     variance = then.covariance[X, X] + then.covariance[Y, Y] + update.stated * update.stated
-    return bool(by_fixes > (1.0 - c.bank.least_slip) * by_tracks + 3.0 * math.sqrt(variance))
+    return bool(by_fixes > (1.0 - c.bank.least_slip) * by_tracks + _FARTHER_STDDEVS * math.sqrt(variance))
 
 
 @compiled

@@ -62,7 +62,11 @@ class BankParameters(Parameters):
     longest_interval: float = parameter(
         "longest time between fixes for an estimate of the track error", unit="s", gt=0.0
     )
-    initial_outlier_share: float = parameter("initial share of outliers of a source", gt=0.0, lt=1.0)
+    initial_outlier_share: float = parameter(
+        "initial share of outliers of a source, and probability of a rejected yaw rate or odometry",
+        gt=0.0,
+        lt=1.0,
+    )
     least_slip: float = parameter(
         "smallest common slip: on level ground a machine hardly moves faster than its tracks"
     )
