@@ -43,9 +43,11 @@ def moved(fix: PoseFix, east: float, north: float) -> PoseFix:
     return replace(fix, pose=fix.pose + np.array((east, north, 0.0)))
 
 
-def with_compass(recording: Recording, measurements: list[Measurement], rate: int) -> list[Measurement]:
-    """The measurements with those of a compass at ``rate`` Hz, with white errors of 0.03 rad."""
-    random, stddev = np.random.default_rng(100), 0.03
+def with_compass(
+    recording: Recording, measurements: list[Measurement], rate: int, stddev: float = 0.03
+) -> list[Measurement]:
+    """The measurements with those of a compass at ``rate`` Hz, with white errors of ``stddev`` rad."""
+    random = np.random.default_rng(100)
     times = np.arange(0.0, recording.t[-1], 1.0 / rate)
     true = np.interp(times, recording.t, recording.poses[:, 2])
     shown = true + stddev * random.standard_normal(times.size)
@@ -407,6 +409,26 @@ def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
     error, nees, _ = errors(measurements, recording, p)
     assert np.sqrt(np.mean(error**2)) < 0.06
     assert np.mean(nees > 13.8) < 0.03
+    assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("factor", [-1.0, 0.0])
+@pytest.mark.parametrize("rate", [5, 10])
+def test_pair_of_antennas_shows_that_the_gyro_fails(rate: int, factor: float, seed: int) -> None:
+    """Each fix agrees with the position: it must not hide that the headings since the last one did not."""
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed)
+    recording = drive(replace(machine, fix_rate=rate))
+    fails = range(22 * S, 34 * S)
+    broken = [
+        replace(m, rate=factor * m.rate) if isinstance(m, YawRate) and m.stamp_ns in fails else m
+        for m in recording.measurements
+    ]
+    measurements = with_compass(recording, broken, rate, 0.005)
+    p = parameters(**GNSS, heading_sources=["compass"])
+    error, nees, _ = errors(measurements, recording, p)
+    assert np.sqrt(np.mean(error**2)) < 0.04
+    assert np.mean(nees > 13.8) < 0.02
     assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
 
 

@@ -87,6 +87,15 @@ def has_failed_unit(state: State) -> bool:
 
 
 @compiled
+def are_sources_consistent(state: State) -> bool:
+    """Whether the latest fix, angle and velocity of each source without a fault was inside its gate."""
+    for source in range(state.fault.size):
+        if state.fault[source] == IS_HEALTHY and state.last_ns[source] > state.consistent_ns[source]:
+            return False
+    return True
+
+
+@compiled
 def has_wandering_offset(state: State, source: int, c: Config) -> bool:
     """Whether the offset of a source walks, so that no measurement contradicts it when the fault ends."""
     fault = state.fault[source]

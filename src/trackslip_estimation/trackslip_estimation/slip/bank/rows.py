@@ -42,7 +42,12 @@ from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEA
 from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
-from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_IGNORED, is_trusted
+from trackslip_estimation.slip.source_faults import (
+    IS_HEALTHY,
+    IS_IGNORED,
+    are_sources_consistent,
+    is_trusted,
+)
 from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample, prior_of
@@ -212,7 +217,8 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
     """Move the snapshots of branches consistent with fix k, and of those that explain angle k, to row k.
 
     A branch that explains a fix or a velocity keeps the snapshots of its parent. If a later fix contradicts
-    it, its children start before its own event: what was pruned comes back.
+    it, its children start before its own event: what was pruned comes back. So does a branch that the latest
+    heading or velocity contradicts: the fix agrees with its position, not with its motion.
     """
     measurement = window.measurements[k]
     for s in range(window.counts[k]):
@@ -223,6 +229,7 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
                 snapshot.fixes += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
+        agrees = agrees and are_sources_consistent(state)
         if agrees or (branch.fresh == 1 and measurement.kind in (HEADING, ON_SWING)):
             _reset_snapshots(window, s, k)
 
