@@ -88,7 +88,7 @@ def has_failed_unit(state: State) -> bool:
 
 @compiled
 def are_sources_consistent(state: State) -> bool:
-    """Whether the latest fix, angle and velocity of each source without a fault was inside its gate."""
+    """Whether the latest fix, angle or velocity of each source without a fault agreed with the branch."""
     for source in range(state.fault.size):
         if state.fault[source] == IS_HEALTHY and state.last_ns[source] > state.consistent_ns[source]:
             return False

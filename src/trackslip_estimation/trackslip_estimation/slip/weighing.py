@@ -164,6 +164,12 @@ def _update_heading_only(
 
 
 @compiled
+def contradiction_limit(rows: int, c: Config) -> float:
+    """NIS of a measurement with ``rows`` degrees of freedom, beyond which it contradicts a branch."""
+    return float(c.gate_limits[rows] / 2.0)
+
+
+@compiled
 def _log_density(update: Update) -> float:
     """ln of the normal density of an innovation."""
     return float(-(update.nis + update.log_determinant + update.dof * _LOG_TWO_PI) / 2.0)
@@ -283,7 +289,7 @@ def _weigh(
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
         R = a.fix_factors[source] * o.noise
     update.evidence = evidence
-    if update.nis <= limit:
+    if update.nis <= contradiction_limit(m, c):
         state.consistent_ns[source] = measurement.stamp_ns
         if measurement.kind == POSE:
             state.sole_fix_source, state.sole_fix_heading = -1, False

@@ -71,6 +71,7 @@ from trackslip_estimation.slip.source_faults import (
 )
 from trackslip_estimation.slip.source_offsets import has_mostly_correlated_errors, pose_source_number
 from trackslip_estimation.slip.sprockets import shows_standstill
+from trackslip_estimation.slip.weighing import contradiction_limit
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -154,11 +155,11 @@ def slip_range_penalty(state: State, c: Config) -> float:
 
 @compiled
 def _is_contradicted(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether the NIS of measurement k under branch s is beyond half the gate, or the gate rejects it."""
+    """Whether measurement k contradicts branch s, or the branch rejects it."""
     before, update = window.states[s, k - 1], update_of(window, s, k)
-    limit, m = c.gate_limits[update.dof] / 2.0, window.measurements[k]
+    m = window.measurements[k]
     is_gated = update.outcome == _GATED and is_trusted(before.fault[m.source], m.kind)
-    return bool(update.nis > limit or is_gated)
+    return bool(update.nis > contradiction_limit(update.dof, c) or is_gated)
 
 
 @compiled

@@ -50,6 +50,7 @@ from trackslip_estimation.slip.source_faults import (
 )
 from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.step import step
+from trackslip_estimation.slip.weighing import contradiction_limit
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample, prior_of
 
 if TYPE_CHECKING:
@@ -227,7 +228,7 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
         if measurement.kind == POSE:  # only fixes observe how far the machine has moved since the snapshot
             for snapshot in branch.snapshots:
                 snapshot.fixes += 1
-        agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
+        agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= contradiction_limit(update.dof, c)
         agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
         agrees = agrees and are_sources_consistent(state)
         if agrees or (branch.fresh == 1 and measurement.kind in (HEADING, ON_SWING)):
