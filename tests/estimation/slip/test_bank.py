@@ -152,7 +152,7 @@ def test_explanation_of_frozen_fixes_states_its_duration() -> None:
 
     _, _, estimator = errors(changed(recording, freeze), recording, parameters(**GNSS))
     found = estimator.competing_explanations.explanations[0]
-    assert found.text == f"{FIX} repeats one fix"
+    assert found.text == f"{FIX} repeats one measurement"
     assert 19.0 < found.since_ns / S - 1.0 < 23.0
 
 

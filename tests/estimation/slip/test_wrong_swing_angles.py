@@ -81,6 +81,20 @@ def test_wrong_swing_encoder_degrades_neither_position_nor_heading(kind: str, fi
     assert found.heading_nees < 3.0
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("fix_hertz", [5.0, 1.0])
+def test_encoder_that_freezes_before_a_swing_does_not_turn_the_undercarriage(
+    fix_hertz: float, seed: int
+) -> None:
+    """The undercarriage may as well turn below a cab at rest, by sprockets that do not show it."""
+    recording = record([*dig(), *dig(math.pi / 2.0)], Cab(fix_hertz=fix_hertz, seed=seed))
+    measurements = spoilt(recording, lambda t, angle, _: 0.0 if 12.0 <= t < 30.0 else angle)
+    found = errors_of(recording, measurements)
+    assert found.place < 0.02
+    assert found.heading < 0.02
+    assert found.heading_nees < 3.0
+
+
 def test_scale_error_of_a_tenth_turns_the_heading_by_at_most_a_tenth_of_the_swing() -> None:
     recording = record([part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)], Cab())
     found = errors_of(recording, spoilt(recording, lambda t, angle, _: 0.9 * angle))

@@ -13,7 +13,7 @@ before the measurement that the event explains. "Since": after the latest consis
     WANDERS          nothing; its positions drift                        since
     HEADING_OFF      the offset of its headings or swing angles          before
     HEADING_WANDERS  the same offset, which walks                        before, or since
-    REPEATS          nothing; bit-identical fixes                        before
+    REPEATS          nothing; bit-identical measurements                 before
     STAYS            nothing; fixes that jitter about one position       before, or since
     SCATTERS         nothing; measurements uniform over an area          before
     RECOVERED        nothing; a fault of the source ended                before
@@ -111,7 +111,6 @@ class EventParameters(Parameters):
     """Prior rates of events."""
 
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
-    repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
     wander_share: float = parameter("rate of fixes that drift, over the source's fault_rate", gt=0.0)
     wander_speed: float = parameter("largest speed of fixes that drift", unit="m/s", gt=0.0)
     wander_walk: float = parameter("random walk of that speed", unit="m/s/√s", gt=0.0)
@@ -151,8 +150,8 @@ def event_rates(
         Event.OFFSET: fault_rate,
         Event.HEADING_OFF: fault_rate,
         Event.HEADING_WANDERS: fault_rate,
-        Event.REPEATS: fault_rate * e.repeat_share,
-        Event.STAYS: fault_rate * e.repeat_share * repeat_jitter,
+        Event.REPEATS: fault_rate,
+        Event.STAYS: fault_rate * repeat_jitter,
         Event.WANDERS: fault_rate * e.wander_share,
         Event.SCATTERS: fault_rate * e.scatter_share,
         Event.RECOVERED: 1.0 / e.fault_time,

@@ -106,7 +106,7 @@ _WORDS = {
     Event.HEADING_OFF: "angles of {source} are off",
     Event.HEADING_WANDERS: "angles of {source} drift",
     Event.WANDERS: "{source} drifts",
-    Event.REPEATS: "{source} repeats one fix",
+    Event.REPEATS: "{source} repeats one measurement",
     Event.STAYS: "{source} is frozen",
     Event.SCATTERS: "{source} scatters",
     Event.RECOVERED: "{source} has recovered",

@@ -193,7 +193,7 @@ class State(Record):
     fault: Annotated[IntArray, MOST_SOURCES]  # ``SourceFault`` that the branch assumes, by source
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source
-    last_fix: Annotated[FloatArray, (MOST_SOURCES, 2)]  # position of the latest fix, by source, m
+    last_value: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of the latest fix, angle or velocity, by source
     last_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
 
 

@@ -174,7 +174,7 @@ def log_density_of_scatter(m: MeasurementRecord, o: Observation, predicted: Floa
 
 @compiled
 def is_repeated(update: Update, c: Config) -> bool:
-    """Whether a fix equals the previous one, to the rounding of a map projection."""
+    """Whether a measurement equals the previous one, a fix to the rounding of a map projection."""
     return bool(update.squared_repeat_distance <= c.gate_limits[YAW] * c.bank.repeat_stddev**2)
 
 
@@ -185,17 +185,20 @@ def can_be_repetition(update: Update, c: Config) -> bool:
 
 
 @compiled
-def weigh_repeat(m: int, is_staying: bool, c: Config, update: Update) -> None:
-    """Set the evidence of a source that repeats its fix, or stays, from the distance to its previous fix.
+def weigh_repeat(kind: int, o: Observation, is_staying: bool, c: Config, update: Update) -> None:
+    """Set the evidence of a source that repeats its measurement, or stays, from the distance to the last one.
 
     A source that stays and jitters cannot be distinguished from a machine that is stuck. Such a fix is
-    *tied*: it gets the likelihood of the most probable branch that may use it (``bank.rows``).
+    *tied*: it gets the likelihood of the most probable branch that may use it (``bank.rows``). Angles with
+    few digits often repeat while they change slowly. So their density is that of the stated noise.
     """
-    limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
-    if is_staying:
-        update.tied, stddev = int(can_be_repetition(update, c)), math.sqrt(2.0) * update.stated
-    update.dof, update.gate, update.nis = YAW, limit, update.squared_repeat_distance / stddev**2
+    m, stddev, unused = o.innovation.size, math.sqrt(2.0 * o.noise[0, 0]), 0.0
+    if kind == POSE:
+        unused = _LOG_TWO_PI if m > YAW else 0.0
+        m, stddev = YAW, math.sqrt(2.0) * update.stated if is_staying else c.bank.repeat_stddev
+        update.tied = int(is_staying and can_be_repetition(update, c))
+    limit = c.gate_limits[m]
+    update.dof, update.gate, update.nis = m, limit, update.squared_repeat_distance / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
-    heading = _LOG_TWO_PI if m > YAW else 0.0
-    update.evidence = -(squared + 4.0 * math.log(stddev)) / 2.0 - _LOG_TWO_PI - heading
+    update.evidence = -(squared + m * (2.0 * math.log(stddev) + _LOG_TWO_PI)) / 2.0 - unused
     update.outcome = _GATED

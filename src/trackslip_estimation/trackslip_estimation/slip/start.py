@@ -116,9 +116,13 @@ def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) 
     state.track_distance = state.learned_downhill = state.displacement[:] = 0.0
     state.is_sector, state.sole_fix_source, state.sole_fix_heading = False, -1, False
     state.fault_ns[:] = stamp_ns
-    state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_HEALTHY, c.bank.initial_outlier_share, 0.0
+    state.fault[:], state.outlier_share[:], state.last_value[:] = (
+        IS_HEALTHY,
+        c.bank.initial_outlier_share,
+        0.0,
+    )
     if measurement.kind == POSE and measurement.source != MANUAL:
-        state.last_fix[measurement.source] = measurement.value[:2]
+        state.last_value[measurement.source] = measurement.value[:2]
         state.sole_fix_source, state.sole_fix_heading = measurement.source, has_heading(measurement)
     for k in range(MOST_SOURCES):
         state.consistent_ns[k], state.received_ns[k] = stamp_ns, NEVER_NS

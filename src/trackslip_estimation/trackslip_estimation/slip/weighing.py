@@ -100,7 +100,7 @@ def weigh_and_update(
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
         update.stated = position_stddev(stated)
         update.coarse = 0 if quality_of(update.stated, c) == PRECISE else 1
-        _set_repeat_distance(state, measurement, update)
+    _set_repeat_distance(state, measurement, update)
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
         _set_measured_position(state, source, o, update, c)
@@ -109,7 +109,8 @@ def weigh_and_update(
     predicted = predicted_covariance(P, o.jacobian)
     log_outlier = log_density_of_outlier(measurement, o, predicted, c)
     if fault in (IS_REPEATING, IS_STAYING):
-        weigh_repeat(m, fault == IS_STAYING, c, update)
+        weigh_repeat(kind, o, fault == IS_STAYING, c, update)
+        _discount_correlated_angle(kind, elapsed, update.evidence, log_outlier, update)
         return
     if fault == IS_WANDERING:
         wander = state.offsets[pose_source_number(source, c)].wander
@@ -120,9 +121,7 @@ def weigh_and_update(
     since_ns = measurement.stamp_ns - state.consistent_ns[source]
     inflation = correlated_inflation(since_ns, c.repeat_times[source])
     R, is_used, is_independent = _weigh(state, measurement, o, predicted, log_outlier, c, update)
-    if kind in (HEADING, ON_SWING):
-        uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
-        update.evidence -= uncounted * max(_log_density(update) - log_outlier, 0.0)
+    _discount_correlated_angle(kind, elapsed, _log_density(update), log_outlier, update)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _set_whitened_innovation(state, o.innovation, predicted + R, update)
     if not is_used:
@@ -161,6 +160,16 @@ def _update_heading_only(
     )
     correct(x, state.covariance[:], heading)
     x[YAW] = wrap(x[YAW])
+
+
+@compiled
+def _discount_correlated_angle(
+    kind: int, elapsed: float, log_density: float, log_outlier: float, update: Update
+) -> None:
+    """Lower the evidence of an angle that agrees, ``elapsed`` s after the previous one."""
+    if kind in (HEADING, ON_SWING):
+        uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
+        update.evidence -= uncounted * max(log_density - log_outlier, 0.0)
 
 
 @compiled
@@ -298,8 +307,8 @@ def _weigh(
 
 @compiled
 def _set_repeat_distance(state: State, measurement: MeasurementRecord, update: Update) -> None:
-    """Set the squared distance of a fix from the source's previous one, and store the fix as the last one."""
-    last, z = state.last_fix[measurement.source], measurement.value
+    """Set the squared distance of a measurement from the source's previous one, and store it as the last."""
+    last, z = state.last_value[measurement.source], measurement.value
     update.squared_repeat_distance = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
     last[X], last[Y] = z[X], z[Y]
 

@@ -180,8 +180,8 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     if measurement.kind == POSE and slip_range_penalty(before, c) > 0.0:
         return True
     if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
-        repeats = is_repeated(update, c) and _is_sensor_moving(before, measurement.source, c)
-        return bool(repeats or branch.cusum.max() > c.bank.cusum_limit)
+        is_moving_fix = measurement.kind == POSE and _is_sensor_moving(before, measurement.source, c)
+        return bool((is_moving_fix and is_repeated(update, c)) or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
 
@@ -360,6 +360,8 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)
+        if m.kind != VELOCITY and is_repeated(update, c):
+            add_child_at_measurement(window, p, k, REPEATS, source, 0.0, c)
         _make_heading_offset_child(window, p, k, c)
         if m.kind == VELOCITY and has_recent_fix(before, m, c):
             add_child_at_measurement(window, p, k, OFFSET, source, 0.0, c)
