@@ -19,7 +19,7 @@ from fixtures.fault_cases.catalogue import CATALOGUE
 from fixtures.fault_cases.drawn_cases import with_source
 from fixtures.fault_cases.gnss_errors import KINDS, gauss_markov
 from fixtures.fault_cases.injections import INJECTIONS, blank_sprockets
-from fixtures.fault_cases.robot_logs import is_present
+from fixtures.fault_cases.robot_logs import Compass, is_present
 from fixtures.fault_cases.running import (
     BASELINE,
     named_cases,
@@ -30,12 +30,13 @@ from fixtures.fault_cases.running import (
 )
 from fixtures.fault_cases.scoring import Score
 from fixtures.fault_cases.sensor_faults import SENSOR_FAULTS
-from fixtures.fault_cases.sweep import sweep
+from fixtures.fault_cases.sweep import COMPASSES, Setting, sweep
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
 from trackslip_estimation.slip.records import to_records
 
 EVENT = 20.0  # s
+TWO_ANTENNAS, COMPASS = COMPASSES
 CLEAN = ("no harm: track error 5%, seed 0", "no harm: surge 30%, seed 0", "no harm: gyro scale 1.03, seed 0")
 GROSS = (
     "drawn: outliers 30% in 20 m",
@@ -185,10 +186,29 @@ def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
 def test_fault_is_found_at_each_time_of_a_real_drive(
     rate: float, fault: str, rmse: float, largest: float
 ) -> None:
-    cell = sweep("marmotte", rate, fault)
+    cell = sweep(Setting("marmotte", rate, fault))
     assert cell.median_rmse < rmse
     assert max(s.rmse for s in cell.scores.values()) < largest
     assert cell.inconsistent < 0.08
+
+
+@pytest.mark.parametrize(
+    ("robot", "fault", "compass"),
+    [
+        ("warthog", "gyro reversed 15 s", TWO_ANTENNAS),
+        ("warthog", "gyro shows 0 15 s", COMPASS),
+        ("marmotte", "right encoder reversed 10 s", TWO_ANTENNAS),
+    ],
+)
+def test_fault_beside_headings_is_found_at_each_time_of_a_real_drive(
+    robot: str, fault: str, compass: Compass
+) -> None:
+    if not is_present(robot):
+        pytest.skip("no log of the robot")
+    cell = sweep(Setting(robot, 5.0, fault, compass))
+    assert cell.median_rmse < 0.12
+    assert max(s.rmse for s in cell.scores.values()) < 0.25
+    assert cell.inconsistent < 0.04
 
 
 class TestEveryCase:
