@@ -192,6 +192,11 @@ def test_fault_is_found_at_each_time_of_a_real_drive(
     assert cell.inconsistent < 0.08
 
 
+@pytest.mark.skipif(not is_present("marmotte"), reason="no log of the tracked robot")
+def test_rejected_yaw_rates_show_at_once_that_the_tracks_are_swapped() -> None:
+    assert sweep(Setting("marmotte", 1.0, "tracks swapped 3 s")).inconsistent < 0.02
+
+
 @pytest.mark.parametrize(
     ("robot", "fault", "compass"),
     [

@@ -11,9 +11,10 @@ The gate rejects a spike, even as the first reading after an outage. It accepts 
 inconsistent, after a time that grows with the logarithm of its error. The bank weighs poses, headings and
 swing angles instead (``weighing``).
 
-A branch that rejects a measurement assumes an outlier, at the cost of its weight. So a branch in which the
-machine stands loses against one in which the sprockets fail, if a gyro shows a rotation. Measurements within
-the gate change no weight: the noise of each branch adapts to them.
+A branch that rejects a measurement assumes an outlier, at the cost of its weight, and gets children in which
+sprockets, gyros or an odometry fail. So a branch in which the machine stands loses against one in which the
+sprockets fail, if a gyro shows a rotation. Measurements within the gate change no weight: the noise of each
+branch adapts to them.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     correlated_penalty,
     has_recent_fix,
     make_earlier_children,
+    make_failure_children,
     make_gyro_failure_child,
     make_sector_children,
 )
@@ -52,7 +53,7 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing, is_moved_by_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, TRACKS, VELOCITY
+from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, SLIPS, TRACKS, VELOCITY
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_MISCOUNTING,
@@ -110,6 +111,21 @@ def create_children(window: Window, k: int, c: Config) -> int:
             implausible = _is_slip_implausible(window, p, k, c)
             make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
         window.pool_branches[p].cusum[:] = 0.0
+    return int(status.pooled)
+
+
+@compiled
+def create_failure_children(window: Window, k: int, c: Config) -> int:
+    """Add to the pool the branches of row k, and children of those that reject yaw rate or odometry k.
+
+    In each child a unit does not measure the motion. Returns the number of branches and children.
+    """
+    status, shows_motion = window.status[0], window.measurements[k].kind != SLIPS
+    status.pooled, status.share_left = copy_row_to_pool(window, k), 1.0
+    for p in range(window.counts[k]):
+        is_rejected, weight = update_of(window, p, k).evidence != 0.0, window.branches[p, k - 1].weight
+        if is_rejected and shows_motion and weight >= -c.bank.spawns and has_velocity_errors(c):
+            make_failure_children(window, p, k, 0.0, c)
     return int(status.pooled)
 
 

@@ -73,7 +73,7 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
         add_child_since_snapshot(window, p, k, WANDERS, source, 0, 0.0, c)
     _make_source_fault_children(window, p, k, penalty, c)
     if has_velocity_errors(c):
-        _make_failure_children(window, p, k, penalty, c)
+        make_failure_children(window, p, k, penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
         add_child_since_snapshot(window, p, k, NOISE, source, 0, 0.0, c)
     if _is_steep(before) and has_velocity_errors(c):
@@ -139,7 +139,7 @@ def _is_heading_unknown(before: State) -> bool:
 
 
 @compiled
-def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Add children in which sprockets, gyros or an odometry have not measured the motion.
 
     A slip nearer to −1 than to its range indicates lost counts; their event replaces the slip event in the

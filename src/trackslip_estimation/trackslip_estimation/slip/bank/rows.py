@@ -22,7 +22,11 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.slip.bank.children import create_children, slip_range_penalty
+from trackslip_estimation.slip.bank.children import (
+    create_children,
+    create_failure_children,
+    slip_range_penalty,
+)
 from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.pool import (
     copy_row_to_pool,
@@ -98,6 +102,8 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
             j += 1
             if j == existing and weighs:
                 jobs = create_children(window, k, c)
+            elif j == existing and not scripted and _is_measurement_rejected(window, k):
+                jobs, weighs = create_failure_children(window, k, c), True
         if scripted:
             apply_scripted_events(window, k, 1, c)
         else:
@@ -109,12 +115,10 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
 
 @compiled
 def finish_row(window: Window, k: int, jobs: int, weighs: bool, c: Config) -> None:
-    """Prune row k of ``jobs`` branches and children if measurement k weighed them; split unknown headings."""
+    """Prune row k of ``jobs`` branches and children if measurement k changed w; split unknown headings."""
     if weighs:
         prune_row(window, k, jobs, c)
         reset_receivers_after_turn(window, k, c)
-    elif _is_measurement_rejected(window, k):
-        fill_row_from_pool(window, k, copy_row_to_pool(window, k), c)
     advance_snapshots(window, k, c)
     if is_moving_without_heading(window.states[0, k]):
         split_unknown_heading(window, k, c)
@@ -182,7 +186,7 @@ def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
 def prune_row(window: Window, k: int, jobs: int, c: Config) -> None:
     """Merge and prune the ``jobs`` branches and children into row k; move its snapshots."""
     measurement, count = window.measurements[k], window.counts[k]
-    if jobs > 1:
+    if jobs > 1 or not is_weighed(measurement):
         _equalize_tied_evidence(window, count, measurement.source)
         for h in range(jobs):
             branch, state = window.pool_branches[h], window.pool_states[h]
