@@ -13,7 +13,7 @@ before the measurement that the event explains. "Since": after the latest consis
     WANDERS          nothing; its positions drift                        since
     HEADING_OFF      the offset of its headings or swing angles          before
     HEADING_WANDERS  the same offset, which walks                        before, or since
-    REPEATS          nothing; bit-identical measurements                 before
+    REPEATS          nothing; bit-identical fixes or angles               before
     STAYS            nothing; fixes that jitter about one position       before, or since
     SCATTERS         nothing; measurements uniform over an area          before
     RECOVERED        nothing; a fault of the source ended                before

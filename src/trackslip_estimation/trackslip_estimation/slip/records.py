@@ -170,7 +170,7 @@ class State(Record):
     coasting: bool  # whether the sprockets have timed out
     sample: SprocketSample
     time_since_sample: float  # s, at the middle of a step that extrapolates the speeds of the sample
-    consistent_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that agreed
+    consistent_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that did not contradict
     rejected_ns: Annotated[IntArray, MOST_SOURCES]  # time of rejections since then, without silences
     received_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest measurement; NEVER_NS of poses
     offsets: Annotated[Table[Offset], MOST_RECEIVERS]  # of pose sources

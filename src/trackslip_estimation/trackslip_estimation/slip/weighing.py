@@ -174,7 +174,7 @@ def _discount_correlated_angle(
 
 @compiled
 def contradiction_limit(rows: int, c: Config) -> float:
-    """NIS of a measurement with ``rows`` degrees of freedom, beyond which it contradicts a branch."""
+    """NIS of ``rows`` degrees of freedom beyond which a measurement contradicts a branch: half its gate."""
     return float(c.gate_limits[rows] / 2.0)
 
 
