@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Nodetype
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.types import ensure_type, field_parts
+from trackslip_bags.types import ensure_type, fields_by, is_message
 from trackslip_bags.writer import BagWriter
+from trackslip_common.layout import ANY_LENGTH, Field
 
 MSG_FOLDER = Path(__file__).parents[2] / "src" / "trackslip_msgs" / "msg"
 PROJECT = sorted(f"trackslip_msgs/msg/{path.stem}" for path in MSG_FOLDER.glob("*.msg"))
@@ -35,20 +35,17 @@ def scalars(name: str) -> st.SearchStrategy[Any]:
     return st.integers(int(info.min), int(info.max))
 
 
-def fields(description: Any) -> st.SearchStrategy[Any]:
-    kind, detail = field_parts(description)
-    if kind == Nodetype.NAME:
-        return messages(str(detail))
-    if kind == Nodetype.BASE:
-        return scalars(str(detail[0]))
-    item, size = detail
-    low, high = (size, size) if kind == Nodetype.ARRAY else (0, 4)
-    return st.lists(fields(item), min_size=low, max_size=high)
+def values(field: Field) -> st.SearchStrategy[Any]:
+    item = messages(field.type) if is_message(field.type) else scalars(field.type)
+    if field.length is None:
+        return item
+    low, high = (0, 4) if field.length == ANY_LENGTH else (field.length, field.length)
+    return st.lists(item, min_size=low, max_size=high)
 
 
 def messages(type_name: str) -> st.SearchStrategy[Any]:
-    described = ensure_type(type_name).fielddefs[type_name][1]
-    strategies = {name: fields(description) for name, description in described}
+    fields = fields_by(ensure_type(type_name))(type_name)
+    strategies = {field.name: values(field) for field in fields}
     return st.fixed_dictionaries(strategies).map(lambda values: make(type_name, **values))
 
 

@@ -5,10 +5,9 @@
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc
 
-from trackslip_bags.types import decode, ensure_type, field_parts
+from trackslip_bags.types import decode, ensure_type, fields_by, is_message
+from trackslip_common.layout import Field
 from trackslip_common.make import header as common_header
 
 _DTYPES = {"bool": "bool", "byte": "uint8", "char": "uint8", "octet": "uint8"}
@@ -26,10 +25,9 @@ def make(type_name: str, **fields: Any) -> Any:
     """
     store = ensure_type(type_name)
     values = dict(fields)
-    for name, description in store.fielddefs[type_name][1]:
-        values[name] = (
-            _typed_value(values[name], description) if name in values else _default_value(description)
-        )
+    for field in fields_by(store)(type_name):
+        is_given = field.name in values
+        values[field.name] = _typed_value(values[field.name], field) if is_given else _default_value(field)
     return store.types[type_name](**values)
 
 
@@ -49,37 +47,35 @@ def header(stamp_ns: int, frame_id: str) -> Any:
     return common_header(make, stamp_ns, frame_id)
 
 
-def _default_value(description: FieldDesc) -> Any:
+def _default_value(field: Field) -> Any:
     """Default value of a field."""
-    kind, detail = field_parts(description)
-    if kind == Nodetype.NAME:
-        return make(str(detail))
-    if kind == Nodetype.BASE:
-        return _default_scalar(str(detail[0]))
-    (item_kind, item), size = detail
-    count = int(size) if kind == Nodetype.ARRAY else 0
-    if item_kind == Nodetype.NAME or item[0] in _TEXT:
-        return [_default_value((item_kind, item)) for _ in range(count)]
-    return np.zeros(count, dtype=_dtype(str(item[0])))
+    if field.length is None:
+        return _default_item(field.type)
+    count = max(field.length, 0)  # a sequence is empty
+    if _is_number(field.type):
+        return np.zeros(count, dtype=_dtype(field.type))
+    return [_default_item(field.type) for _ in range(count)]
 
 
-def _default_scalar(name: str) -> Any:
-    if name in _TEXT:
+def _default_item(type_name: str) -> Any:
+    if is_message(type_name):
+        return make(type_name)
+    if type_name in _TEXT:
         return ""
-    if name == "bool":
+    if type_name == "bool":
         return False
-    return 0.0 if name.startswith("float") else 0
+    return 0.0 if type_name.startswith("float") else 0
 
 
-def _typed_value(value: Any, description: FieldDesc) -> Any:
+def _typed_value(value: Any, field: Field) -> Any:
     """A given value for the serializer: numeric arrays typed, lists copied, all else unchanged."""
-    kind, detail = field_parts(description)
-    if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+    if field.length is None:
         return value
-    item_kind, item = detail[0]
-    if item_kind == Nodetype.NAME or item[0] in _TEXT:
-        return list(value)
-    return np.asarray(value, dtype=_dtype(str(item[0])))
+    return np.asarray(value, dtype=_dtype(field.type)) if _is_number(field.type) else list(value)
+
+
+def _is_number(type_name: str) -> bool:
+    return not is_message(type_name) and type_name not in _TEXT
 
 
 def _dtype(name: str) -> np.dtype[Any]:

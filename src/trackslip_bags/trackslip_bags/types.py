@@ -7,12 +7,12 @@ own, come from ``.msg`` files: installed (``AMENT_PREFIX_PATH``) or in the check
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from mcap.well_known import SchemaEncoding
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
-from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -147,16 +147,9 @@ def _count_values(name: str, types: Typesdict, counts: dict[str, int], inside: t
         raise ValueError(f"type {name}: it contains itself; accepted: a type of others")
     if name not in counts:
         values = 1
-        for _, description in types[name][1] if name in types else ():
-            (kind, detail), size = field_parts(description), 1
-            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-                inner, count = detail
-                size = int(count) if kind == Nodetype.ARRAY else 0
-                kind, detail = inner
-            per_item = (
-                _count_values(str(detail), types, counts, (*inside, name)) if kind == Nodetype.NAME else 1
-            )
-            values += size * per_item
+        for field in _fields(types, name) if name in types else ():
+            size = 1 if field.length is None else max(field.length, 0)  # a sequence may be empty
+            values += size * _count_values(field.type, types, counts, (*inside, name))
         counts[name] = values
     return counts[name]
 
@@ -173,41 +166,28 @@ def _collect_types(type_name: str, store: Typestore, types: Typesdict) -> None:
         types |= get_types_from_msg(path.read_text(encoding="utf-8"), type_name)
     except (OSError, UnicodeDecodeError, TypesysError) as error:
         raise InputError(f"{path}: not a message definition ({' '.join(str(error).split())})") from error
-    for inner in _inner_types(types, type_name):
-        if inner not in store.fielddefs and inner not in types:
-            _collect_types(inner, store, types)
-
-
-def _inner_types(types: Typesdict, name: str) -> list[str]:
-    """The message types of the fields of ``name``."""
-    names = []
-    for _, description in types[name][1]:
-        kind, detail = field_parts(description)
-        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            kind, detail = detail[0]
-        if kind == Nodetype.NAME:
-            names.append(str(detail))
-    return names
+    for field in _fields(types, type_name):
+        if is_message(field.type) and field.type not in store.fielddefs and field.type not in types:
+            _collect_types(field.type, store, types)
 
 
 def fields_by(store: Typestore) -> FieldsOf:
     """A function that yields the fields of the types of a store."""
-
-    def fields_of(type_name: str) -> Iterator[Field]:
-        for name, description in store.fielddefs[type_name][1]:
-            (kind, detail), count = field_parts(description), None
-            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-                (inner, detail), size = detail
-                count = int(size) if kind == Nodetype.ARRAY else ANY_LENGTH
-                kind = inner
-            yield Field(name, str(detail if kind == Nodetype.NAME else detail[0]), count)
-
-    return fields_of
+    return partial(_fields, store.fielddefs)
 
 
-def field_parts(description: FieldDesc) -> tuple[Nodetype, Any]:
-    """(kind, detail) of a field: (BASE, (name, size)), (NAME, type) or (ARRAY | SEQUENCE, (item, size)).
+def is_message(type_name: str) -> bool:
+    """Whether the type of a field is a message, not a number or a text."""
+    return "/" in type_name
 
-    Needed for the type checker, which cannot resolve rosbags' union of these tuples.
-    """
-    return Nodetype(description[0]), description[1]
+
+def _fields(types: Typesdict, type_name: str) -> Iterator[Field]:
+    """The fields of a type in the order of its definition."""
+    definitions: Any = types[type_name][1]  # the type checker cannot resolve rosbags' union of tuples
+    for name, (kind, detail) in definitions:
+        length = None
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            (item_kind, item), size = detail
+            length = int(size) if kind == Nodetype.ARRAY else ANY_LENGTH
+            kind, detail = item_kind, item
+        yield Field(name, detail if kind == Nodetype.NAME else detail[0], length)
