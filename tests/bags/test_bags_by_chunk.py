@@ -17,7 +17,7 @@ from trackslip_bags import chunks
 from trackslip_bags.chunks import read_stretches
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import Bag, open_bag
-from trackslip_bags.types import schema_text
+from trackslip_bags.types import known_schema
 from trackslip_common.errors import InputError
 
 TEXT = "std_msgs/msg/String"
@@ -68,7 +68,7 @@ def written(recorded: Recorded) -> Iterator[Path]:
                 enable_crcs=recorded.checksums,
             )
             writer.start(profile="ros2", library="test")
-            schema = writer.register_schema(TEXT, "ros2msg", schema_text(TEXT).encode())
+            schema = writer.register_schema(TEXT, "ros2msg", known_schema(TEXT).data)
             channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in TOPICS}
             for topic, time_ns, raw in recorded.messages:
                 writer.add_message(channels[topic], time_ns, raw, time_ns)

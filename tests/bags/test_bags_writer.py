@@ -16,7 +16,7 @@ from rosbags.interfaces import QosReliability
 
 from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.types import type_hash
+from trackslip_bags.types import known_schema
 from trackslip_bags.writer import CHUNK_SPAN_NS, BagWriter
 from trackslip_common.errors import InputError
 
@@ -49,7 +49,7 @@ def test_bytes_pass_unchanged_with_both_times(tmp_path: Path) -> None:
     assert schema is not None
     assert (schema.name, schema.encoding, schema.data) == (TEXT, "ros2msg", b"string data\n")
     assert (channel.topic, channel.message_encoding) == ("/a", "cdr")
-    assert channel.metadata == {"offered_qos_profiles": "[]", "topic_type_hash": type_hash(TEXT)}
+    assert channel.metadata == {"offered_qos_profiles": "[]", "topic_type_hash": known_schema(TEXT).type_hash}
 
 
 def test_chunks_are_compressed_checked_and_short(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_metadata_states_what_is_in_the_bag(tmp_path: Path) -> None:
     assert info["files"][0]["path"] == "run_0.mcap"
     topics = {t["topic_metadata"]["name"]: t for t in info["topics_with_message_count"]}
     assert topics["/imu"]["message_count"] == 3
-    assert topics["/imu"]["topic_metadata"]["type_description_hash"] == type_hash(IMU)
+    assert topics["/imu"]["topic_metadata"]["type_description_hash"] == known_schema(IMU).type_hash
     assert topics["/imu"]["topic_metadata"]["offered_qos_profiles"][0]["reliability"] == "best_effort"
     with AnyReader([tmp_path / "run"]) as reader:  # checks hashes too
         by_topic = {connection.topic: connection for connection in reader.connections}

@@ -47,32 +47,15 @@ def ensure_type(type_name: str) -> Typestore:
     return store
 
 
-def schema_text(type_name: str) -> str:
-    """Definition of the type and all inner types, in the ``ros2msg`` form of MCAP schemas.
-
-    Raises:
-        InputError: the type is unknown.
-    """
-    text, _ = ensure_type(type_name).generate_msgdef(type_name, ros_version=2)
-    return text
-
-
-def type_hash(type_name: str) -> str:
-    """RIHS01 hash of REP-2016, by which ROS distinguishes versions of a type.
-
-    Raises:
-        InputError: the type is unknown.
-    """
-    return ensure_type(type_name).hash_rihs01(type_name)
-
-
 def known_schema(type_name: str) -> Schema:
-    """The MCAP schema of a type in the process' store.
+    """The MCAP schema of a type in the process' store, with its RIHS01 hash (REP-2016).
 
     Raises:
         InputError: the type is unknown.
     """
-    return Schema(SchemaEncoding.ROS2, schema_text(type_name).encode(), type_hash(type_name))
+    store = ensure_type(type_name)
+    text, _ = store.generate_msgdef(type_name, ros_version=2)
+    return Schema(SchemaEncoding.ROS2, text.encode(), store.hash_rihs01(type_name))
 
 
 @lru_cache(maxsize=64)  # covers several bags; rosbags compiles each store
