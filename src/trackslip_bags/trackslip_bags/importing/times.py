@@ -9,19 +9,9 @@ from datetime import datetime, timezone
 from decimal import Decimal
 
 from trackslip_bags.importing.columns import ISO, TimeColumn, zone_offset_ns
+from trackslip_common.units import UNITS
 
-_SCALES = {
-    name: Decimal(nanoseconds)
-    for name, nanoseconds in (
-        ("s", 10**9),
-        ("ms", 10**6),
-        ("us", 10**3),
-        ("µs", 10**3),
-        ("ns", 1),
-        ("min", 60 * 10**9),
-        ("h", 3600 * 10**9),
-    )
-}
+_SCALES = {unit: Decimal(round(seconds * 1e9)) for unit, seconds in UNITS["time"].items()}  # ns
 _ISO = re.compile(
     r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
     r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
