@@ -10,30 +10,15 @@ from typing import NamedTuple
 from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.manual_poses import input_names
 from trackslip_bags.reader import Bag, absolute_name
+from trackslip_common.topics import TOPICS
 
+_ESTIMATORS = ("slip_estimator", "soil_estimator")
 # Outputs of the estimators of the live graph, and topics that belong to the graph, not to the bag.
-OWN_OUTPUTS = frozenset(
-    {
-        "odometry",
-        "odometry/local",
-        "attitude",
-        "swing/estimate",
-        "machine_state",
-        "track_slip",
-        "track_forces",
-        "soil",
-        "slip_seed",
-        "measurement_reports",
-        "slip_estimator/pose_set",
-        "slip_estimator/parameters",
-        "soil_estimator/parameters",
-        "vehicle",
-        "diagnostics",
-        "tf",
-        "rosout",
-        "parameter_events",
-    }
-)
+OWN_OUTPUTS = frozenset(name for name, topic in TOPICS.items() if topic.publisher.startswith(_ESTIMATORS)) | {
+    "diagnostics",
+    "rosout",
+    "parameter_events",
+}
 CLOCK = "clock"  # published by the player
 
 
