@@ -30,7 +30,7 @@ from trackslip_bags.mcap_index import (
     select_rows,
 )
 from trackslip_bags.metadata import LATEST_NS
-from trackslip_bags.reader import Bag, absolute_name, require_one_type
+from trackslip_bags.reader import Bag, require_one_type
 from trackslip_common.arrays import IntArray
 from trackslip_common.errors import InputError
 
@@ -65,8 +65,7 @@ def read_stretches(
     if bag.end_ns > LATEST_NS:
         fault = "messages are logged after 2262, beyond what is read"
         raise InputError(f"bag '{bag.path}': {fault}; trackslip recover leaves them out")
-    names = {absolute_name(topic) for topic in topics}
-    types = {topic: info.type_name for topic, info in bag.topics.items() if absolute_name(topic) in names}
+    types = {topic: bag.topics[topic].type_name for topic in bag.matching_topics(topics)}
     require_one_type(bag, types)
     reached_ns = first
     try:

@@ -65,6 +65,11 @@ class Bag:
         """Time from the first to the last message, s."""
         return (self.end_ns - self.start_ns) * 1e-9
 
+    def matching_topics(self, topics: Iterable[str]) -> list[str]:
+        """The topics of the bag among these, as the bag names and orders them."""
+        names = {absolute_name(topic) for topic in topics}
+        return [topic for topic in self.topics if absolute_name(topic) in names]
+
     def messages(
         self,
         topics: Iterable[str] | None = None,
@@ -81,10 +86,7 @@ class Bag:
         Raises:
             InputError: the bag is damaged inside.
         """
-        names = None if topics is None else {absolute_name(topic) for topic in topics}
-        requested = (
-            None if names is None else {topic for topic in self.topics if absolute_name(topic) in names}
-        )
+        requested = None if topics is None else frozenset(self.matching_topics(topics))
         first = self.start_ns if start_ns is None else start_ns
         stop = self.end_ns + 1 if stop_ns is None else stop_ns
         parts = [source.messages(requested, first, stop) for source in self.sources]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trackslip_bags.chunks import read_stretches
 from trackslip_bags.mcap_index import Bytes
-from trackslip_bags.reader import Bag, absolute_name
+from trackslip_bags.reader import Bag
 from trackslip_bags.types import fields_by
 from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.errors import InputError
@@ -186,9 +186,8 @@ def read_tables(
     Raises:
         InputError: the bag is damaged inside.
     """
-    names = {absolute_name(topic) for topic in topics}
-    requested = [_Topic(bag, topic) for topic in bag.topics if absolute_name(topic) in names]
-    for stretch in read_stretches(bag, [topic.topic for topic in requested], start_ns, stop_ns):
+    requested = [_Topic(bag, topic) for topic in bag.matching_topics(topics)]
+    for stretch in read_stretches(bag, topics, start_ns, stop_ns):
         tables = {}
         for number, topic in enumerate(requested):
             order = np.flatnonzero(stretch.topics == number)
