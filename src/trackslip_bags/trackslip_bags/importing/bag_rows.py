@@ -227,9 +227,7 @@ def rejections(
             raise InputError(_no_variance_text(topic, axis))
         yield f"no variance of {axis} above 0", missing
     if type_name == FIX:
-        at = np.flatnonzero(remaining)
-        for reason, rejected in local.rejections(rows[at, :3], f"{topic.where}: {topic.source}"):
-            yield reason, np.isin(np.arange(len(rows)), at[rejected])
+        yield from local.rejections(rows[:, :3], remaining, f"{topic.where}: {topic.source}")
 
 
 def values_of(

@@ -112,10 +112,9 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     if "latitude" in columns:
         chosen.reject(_is_at_origin(table, topic, columns), "latitude and longitude are 0")
     if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
-        remaining = np.flatnonzero(chosen.rows)
-        rejected = local.rejections(place_of(columns)[remaining], f"{topic.where}: {table.path}")
-        for reason, which in rejected:
-            chosen.reject(np.isin(np.arange(len(chosen.rows)), remaining[which]), reason)
+        place, where = place_of(columns), f"{topic.where}: {table.path}"
+        for reason, rejected in local.rejections(place, chosen.rows, where):
+            chosen.reject(rejected, reason)
     rows = chosen.rows
     _check_times(table, topic, stamps_ns[rows])
     if not rows.any():

@@ -3,7 +3,6 @@
 """Positions on the Earth as east and north of a datum (WGS84), with the checks of the GNSS localizer."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -27,15 +26,17 @@ class LocalFrame:
         limits = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",))
         self._reach = limits.max_distance
 
-    def rejections(self, place: FloatArray, where: str) -> Iterator[tuple[str, BoolArray]]:
-        """Reasons to leave out some of (n, 3) latitude and longitude, rad, and altitude, m; (n,) which.
+    def rejections(self, place: FloatArray, among: BoolArray, where: str) -> list[tuple[str, BoolArray]]:
+        """Reasons to leave out some of the positions ``among``, (n,) of bool, not empty; and (n,) which.
+
+        ``place``: (n, 3) latitude and longitude, rad, and altitude, m; ``where`` begins an error's message.
 
         Raises:
             InputError: all of them are to be left out.
         """
         is_none: BoolArray = (np.abs(place[:, 0]) > math.pi / 2.0) | (np.abs(place[:, 1]) > math.pi)
-        reasons = {Reason.OUT_OF_RANGE: is_none, Reason.NOT_A_NUMBER: np.isinf(place[:, 2])}
-        good = ~(reasons[Reason.OUT_OF_RANGE] | reasons[Reason.NOT_A_NUMBER])
+        reasons = {Reason.OUT_OF_RANGE: among & is_none, Reason.NOT_A_NUMBER: among & np.isinf(place[:, 2])}
+        good = among & ~(reasons[Reason.OUT_OF_RANGE] | reasons[Reason.NOT_A_NUMBER])
         if good.any():
             datum = self._datum_of(place[good], where)
             far = np.zeros(len(place), np.bool_)
@@ -45,9 +46,9 @@ class LocalFrame:
                 rows = far.copy()
                 rows[far] = [one is reason for one in far_reasons]
                 reasons[reason] = rows
-        if np.logical_or.reduce(list(reasons.values())).all():
-            raise InputError(self._all_rejected_text(place[0], where, reasons))
-        yield from ((reason.value, rows) for reason, rows in reasons.items())
+        if np.logical_or.reduce(list(reasons.values()))[among].all():
+            raise InputError(self._all_rejected_text(place, int(among.argmax()), where, reasons))
+        return [(reason.value, rows) for reason, rows in reasons.items()]
 
     def east_north(self, place: FloatArray) -> FloatArray:
         """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum).
@@ -78,10 +79,12 @@ class LocalFrame:
         far: BoolArray = np.hypot(*_east_north(datum, place).T) > self._reach
         return far
 
-    def _all_rejected_text(self, first: FloatArray, where: str, reasons: dict[Reason, BoolArray]) -> str:
-        """Message with the first position and the datum."""
-        reason = next(reason for reason, rows in reasons.items() if rows[0])
-        latitude, longitude = np.degrees(first[:2]).tolist()
+    def _all_rejected_text(
+        self, place: FloatArray, first: int, where: str, reasons: dict[Reason, BoolArray]
+    ) -> str:
+        """Message with the first checked position and the datum."""
+        reason = next(reason for reason, rows in reasons.items() if rows[first])
+        latitude, longitude = np.degrees(place[first, :2]).tolist()
         datum = "" if self.datum is None else f" ({self.datum.latitude:.6f}, {self.datum.longitude:.6f})"
         return (
             f"{where}: every position is rejected: the first, at latitude {latitude:.6f}, longitude "

@@ -8,6 +8,7 @@ NAV-PVT states, or that the mapping gives. A sentence without a time (HDT, THS) 
 
 import codecs
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import date
@@ -265,18 +266,15 @@ def _fix_samples(
         )
     if not has_accuracy.any():
         return
-    is_used, left_out = has_accuracy, {}
-    for reason, rejected in local.rejections(place[has_accuracy], f"{section.where}: {source}"):
-        rows = np.flatnonzero(has_accuracy)[rejected]
-        left_out[reason] = len(rows)
-        is_used = is_used & ~np.isin(np.arange(len(fixes)), rows)
+    is_used, left_out = has_accuracy, Counter[str]()
+    for reason, rejected in local.rejections(place, has_accuracy, f"{section.where}: {source}"):
+        left_out[reason] = int(rejected.sum())
+        is_used = is_used & ~rejected
     east_north: FloatArray = local.east_north(place[is_used])
     planar = np.column_stack((east_north, np.full(len(east_north), np.nan)))
     pose_values = without_heading(planar, covariance[is_used].copy())
     times = stamps_ns[is_used], stamps_ns[is_used]
-    poses = Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, pose_values, source=source)
-    poses.left_out.update({reason: n for reason, n in left_out.items() if n})
-    yield poses
+    yield Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, pose_values, +left_out, source)
 
 
 def _velocity_samples(
