@@ -20,6 +20,7 @@ from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import absolute_name, open_bag
 from trackslip_bags.sources import error_line
 from trackslip_common.errors import InputError, did_you_mean
+from trackslip_common.make import stamp_ns_of
 
 _ROS1 = (".bag", ".bag.active")
 _ROS2 = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -112,8 +113,7 @@ class _Collector:
         for reading in self._read_message(content, self.topic):
             stamp_ns = message.log_time_ns
             if self.topic.uses_header and reading.header is not None:
-                stamp = reading.header.stamp
-                stamp_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec) or message.log_time_ns
+                stamp_ns = stamp_ns_of(reading) or message.log_time_ns
             stamp_ns += self.topic.time_offset_ns
             defect = reading.defect or ("" if 0 <= stamp_ns < LIMIT_NS else "stamp outside 0 … 2^31 s")
             if defect:

@@ -6,6 +6,8 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+from trackslip_common.make import stamp_ns_of
+
 _MAX_STAMPS = 64  # stamps with missing joints
 
 PARTIAL = "holds some of the joints, and no other message of its stamp the rest"
@@ -31,13 +33,12 @@ class JointsByStamp:
         joints = self._requested.intersection(message.name)
         if not joints or joints == self._requested:
             return message
-        stamp = message.header.stamp
-        key = int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        part = self._parts.setdefault(key, {})
+        stamp_ns = stamp_ns_of(message)
+        part = self._parts.setdefault(stamp_ns, {})
         for k, name in enumerate(message.name):
             part[name] = (_value_or_nan(message.position, k), _value_or_nan(message.velocity, k))
         if self._requested <= part.keys():
-            del self._parts[key]
+            del self._parts[stamp_ns]
             positions, velocities = zip(*part.values(), strict=True)
             return SimpleNamespace(
                 header=message.header, name=list(part), position=positions, velocity=velocities
