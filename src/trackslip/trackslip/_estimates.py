@@ -2,17 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates as arrays, as tables of pandas and polars, and as files."""
 
+import json
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+import pymap3d
 from numpy.typing import NDArray
 
-from trackslip._files import SUFFIXES, write
 from trackslip._frames import to_pandas
 from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Datum
 
@@ -23,6 +29,11 @@ _AXES = {
     "tilt": ("roll", "pitch", "z"),
     "swing": ("swing", "swing_rate"),
 }
+_MAX_LATITUDE = 90.0  # deg
+_SECOND_NS = 1_000_000_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+
+_DatumValues = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +54,7 @@ class Estimates:
     tilt_covariance: FloatArray
     swing: FloatArray  #: (n, 2) angle and rate of the upper structure, rad, rad/s; nan where unknown
     swing_covariance: FloatArray
-    datum: tuple[float, float, float] | None = None  #: latitude, longitude deg, altitude m
+    datum: _DatumValues | None = None  #: latitude, longitude deg, altitude m
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -75,7 +86,7 @@ class Estimates:
         """The columns as a data frame of polars."""
         return pl.DataFrame(self.columns())
 
-    def save(self, path: Path | str, datum: tuple[float, float, float] | None = None) -> Path:
+    def save(self, path: Path | str, datum: _DatumValues | None = None) -> Path:
         """Write a file in the format of its extension; an existing file is replaced.
 
         ``.csv``: all columns. ``.tum``: s, position and quaternion of each pose, for evaluation tools.
@@ -85,9 +96,13 @@ class Estimates:
             InputError: the extension is another, the file cannot be written, or there is no datum.
         """
         path = Path(path)
-        if path.suffix not in SUFFIXES:
-            raise InputError(f"save: '{path}' has another ending; accepted: {', '.join(SUFFIXES)}")
-        write(path, self, datum or self.datum)
+        if path.suffix not in _WRITERS:
+            raise InputError(f"save: '{path}' has another ending; accepted: {', '.join(_WRITERS)}")
+        text = _WRITERS[path.suffix](self, datum or self.datum)
+        try:
+            write_atomically(path, text)
+        except OSError as error:
+            raise InputError(f"save: '{path}' cannot be written ({error.strerror})") from error
         return path
 
 
@@ -115,3 +130,65 @@ def _nan_unless(known: NDArray[Any], values: FloatArray) -> FloatArray:
     masked: FloatArray = values.copy()
     masked[known == 0] = np.nan
     return masked
+
+
+def _csv(estimates: Estimates, _: _DatumValues | None) -> str:
+    return str(estimates.to_polars().write_csv())
+
+
+def _tum(estimates: Estimates, _: _DatumValues | None) -> str:
+    """Lines ``timestamp tx ty tz qx qy qz qw``; flat ground where the tilt is unknown."""
+    roll, pitch, z = np.nan_to_num(estimates.tilt).T
+    yaw = estimates.pose[:, 2]
+    (cr, cp, cy), (sr, sp, sy) = (
+        [function(angle / 2.0) for angle in (roll, pitch, yaw)] for function in (np.cos, np.sin)
+    )
+    turn = (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+    rows = np.column_stack((estimates.pose[:, :2], z, *turn)).tolist()
+    stamps = [f"{ns // _SECOND_NS}.{ns % _SECOND_NS:09d}" for ns in estimates.stamp_ns.tolist()]
+    lines = (" ".join((stamp, *map(repr, row))) for stamp, row in zip(stamps, rows, strict=True))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _geojson(estimates: Estimates, datum: _DatumValues | None) -> str:
+    """A line of RFC 7946 with the time of each position."""
+    if datum is None:
+        accepted = "datum=(latitude, longitude, altitude) of the map's origin"
+        raise InputError(f"save: GeoJSON is in degrees, and the map's datum is unknown; accepted: {accepted}")
+    _check_datum(datum)
+    east, north, up = estimates.pose[:, 0], estimates.pose[:, 1], np.nan_to_num(estimates.tilt[:, 2])
+    latitude, longitude, _ = pymap3d.enu2geodetic(east, north, up, *datum)
+    places = np.column_stack((np.round(longitude, 9), np.round(latitude, 9))).tolist()
+    times = [_EPOCH + timedelta(microseconds=ns // 1000) for ns in estimates.stamp_ns.tolist()]
+    feature = {
+        "type": "Feature",
+        "geometry": {"type": "LineString", "coordinates": places},
+        "properties": {"coordTimes": [time.isoformat() for time in times]},
+    }
+    return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
+
+
+def _check_datum(datum: _DatumValues) -> None:
+    """Raise InputError for a datum outside of the Earth's ranges."""
+    with suppress(TypeError, ValueError):
+        latitude, longitude, altitude = map(float, datum)
+        if (
+            abs(latitude) <= _MAX_LATITUDE
+            and abs(longitude) <= 2.0 * _MAX_LATITUDE
+            and math.isfinite(altitude)
+        ):
+            return
+    accepted = "datum=(latitude, longitude, altitude), deg, deg, m"
+    raise InputError(f"save: {datum!r} is no datum; accepted: {accepted}")
+
+
+_WRITERS: Mapping[str, Callable[[Estimates, _DatumValues | None], str]] = {
+    ".csv": _csv,
+    ".tum": _tum,
+    ".geojson": _geojson,
+}
