@@ -50,8 +50,8 @@ def check(
         collect_output(),
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
-        options = as_texts("params", params), setting_texts(settings), as_name("vehicle", vehicle)
-        p = replay_options.parameters_of(opened, *options)
+        files, vehicle = as_texts("params", params), as_name("vehicle", vehicle)
+        p = replay_options.parameters_of(opened, files, setting_texts(settings), vehicle)
         return check_of_result(check_bag(opened, p))
 
 

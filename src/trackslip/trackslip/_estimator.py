@@ -110,9 +110,7 @@ class Estimator:
                     imported = import_log([log], read_mapping(mapping), bag)
                     with open_bag(bag) as opened:
                         notes += _import_notes(imported)
-                        return replay_open_bag(
-                            opened, ReplayOptions(), (None, (), None), notes, imported.datum
-                        )
+                        return replay_open_bag(opened, ReplayOptions(), notes, datum=imported.datum)
                 except InputError as error:
                     raise InputError(str(error).replace(f"{folder}/", "")) from error
 

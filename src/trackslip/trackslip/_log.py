@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackslip._frames import to_pandas
 from trackslip._values import as_text
 from trackslip_bags.parameters import bag_vehicle
-from trackslip_bags.reader import Bag, absolute_name, open_bag, require_topics
+from trackslip_bags.reader import absolute_name, open_bag, require_topics
 from trackslip_bags.tables import read_tables
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS
@@ -72,23 +72,18 @@ def load(bag: Path | str, namespace: str = "") -> Log:
     """
     path, name = Path(as_text("bag", bag)), as_text("namespace", namespace)
     with open_bag(path, name) as opened:
-        return _overview(opened, path, name)
-
-
-def _overview(bag: Bag, path: Path, namespace: str) -> Log:
-    counts = {absolute_name(topic): info.count for topic, info in sorted(bag.topics.items())}
-    types = {absolute_name(topic): info.type_name for topic, info in sorted(bag.topics.items())}
-    vehicle = bag_vehicle(bag)
-    return Log(
-        path,
-        namespace,
-        bag.start_ns,
-        bag.duration_s,
-        MappingProxyType(counts),
-        MappingProxyType(types),
-        None if vehicle is None else vehicle.name,
-        bag.damage,
-    )
+        topics = {absolute_name(topic): info for topic, info in sorted(opened.topics.items())}
+        vehicle = bag_vehicle(opened)
+        return Log(
+            path,
+            name,
+            opened.start_ns,
+            opened.duration_s,
+            MappingProxyType({topic: info.count for topic, info in topics.items()}),
+            MappingProxyType({topic: info.type_name for topic, info in topics.items()}),
+            None if vehicle is None else vehicle.name,
+            opened.damage,
+        )
 
 
 def example() -> Path:

@@ -85,22 +85,22 @@ def replay(
         collect_output() as notes,
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
-        parameters = as_name("vehicle", vehicle), as_texts("params", params), settings
-        return replay_open_bag(opened, options, parameters, notes)
+        vehicle, params = as_name("vehicle", vehicle), as_texts("params", params)
+        return replay_open_bag(opened, options, notes, vehicle, params, setting_texts(settings))
 
 
 def replay_open_bag(
     bag: Bag,
     options: ReplayOptions,
-    parameters: tuple[str | None, Sequence[str], Mapping[str, Any] | None],
     notes: list[str],
+    vehicle: str | None = None,
+    params: Sequence[str] = (),
+    settings: Sequence[str] = (),
     datum: Datum | None = None,
 ) -> Result:
-    """Replay an open bag; ``parameters``: vehicle, files and settings; ``notes``: receives messages."""
-    vehicle, params, settings = parameters
-    layers = params, setting_texts(settings)
-    p, filters, reference = replay_options.read_settings(bag, options, *layers, vehicle)
-    soil_p = replay_options.soil_parameters_of(bag, p, *layers)
+    """Replay an open bag; ``notes``: list of ``collect_output``; ``settings``: as for ``--set``."""
+    p, filters, reference = replay_options.read_settings(bag, options, params, settings, vehicle)
+    soil_p = replay_options.soil_parameters_of(bag, p, params, settings)
     rows = GrowingRows(ESTIMATE)
     result = run.replay(bag, p, filters, reference, soil_p, lambda part: rows.add(part.estimates))
     all_notes = (*([bag.damage] if bag.damage else []), *notes)
