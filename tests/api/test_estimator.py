@@ -67,12 +67,6 @@ def test_path_of_a_frame_is_found(result: ts.Result) -> None:
     assert result.summary["vehicle"] == "made"
 
 
-def test_every_kind_of_frame_gives_the_same_estimates(result: ts.Result) -> None:
-    again = estimator().run(pl.DataFrame(drive()))
-    assert np.array_equal(again.estimates.pose, result.estimates.pose)
-    assert np.array_equal(again.estimates.pose_covariance, result.estimates.pose_covariance)
-
-
 def test_degrees_become_metres_of_a_datum() -> None:
     columns = drive()
     columns["lat"], columns["lon"] = 52.0 + columns.pop("y") / 111_250.0, 13.0 + columns.pop("x") / 68_500.0
@@ -142,14 +136,8 @@ def test_resolution_of_a_coarse_encoder_is_found_from_its_counts() -> None:
         assert {cause.cause for cause in with_resolution.run(frame).setup.causes} == {"encoder_resolution"}
 
 
-def test_times_that_go_back_are_refused() -> None:
-    columns = drive(3.0)
-    columns["t"] = columns["t"][::-1].copy()
-    with pytest.raises(ts.InputError, match="back"):
-        estimator().run(columns)
-
-
 FRAMES: dict[str, Any] = {
+    "polars": pl.DataFrame,
     "lazy": lambda columns: pl.DataFrame(columns).lazy(),
     "null": lambda columns: {**columns, "x": [None if v != v else v for v in columns["x"].tolist()]},
     "decimals": lambda columns: {name: [Decimal(repr(v)) for v in c.tolist()] for name, c in columns.items()},
@@ -162,11 +150,12 @@ FRAMES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("kind", FRAMES)
-def test_every_kind_of_cell_gives_the_same_estimates(result: ts.Result, kind: str) -> None:
+def test_every_kind_of_frame_and_cell_gives_the_same_estimates(result: ts.Result, kind: str) -> None:
     columns = {**drive(), "3": drive()["gz"]}
     gyro = {"angular_velocity_z": ("3", "deg/s")}
     again = estimator(**{"imu/data_raw": gyro}).run(FRAMES[kind](columns))
     assert np.array_equal(again.estimates.pose, result.estimates.pose)
+    assert np.array_equal(again.estimates.pose_covariance, result.estimates.pose_covariance)
 
 
 DATES: dict[str, Any] = {
@@ -207,9 +196,10 @@ def test_missing_dates_are_noted_as_rows_without_time() -> None:
         ({"gz": np.zeros(59)}, "column 'gz' has 59 rows, 't' 60"),
         ({"gz": np.zeros(60, complex)}, "column 'gz' holds complex128"),
         ({"t": np.arange(60).astype("timedelta64[ms]")}, "column 't' holds timedelta64"),
+        ({"t": np.arange(60)[::-1].copy()}, "column 't' goes back"),
     ],
 )
-def test_columns_without_a_value_a_row_are_named(change: dict[str, Any], sentence: str) -> None:
+def test_unusable_columns_are_named(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ts.InputError, match=sentence):
         estimator().run({**drive(3.0), **change})
 
