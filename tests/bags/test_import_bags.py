@@ -149,6 +149,8 @@ def test_a_reference_of_positions_has_no_heading(log: Path, tmp_path: Path) -> N
     assert messages["/reference_pose"][0][1].pose.covariance[35] == 1e6
 
 
+PRESSURE = {"column": "p", "unit": "bar"}
+PRESSURES = {"left_pressure": PRESSURE, "right_pressure": PRESSURE, "time": {"column": "t", "unit": "s"}}
 BAD = {
     "sprockets.from: no topic '/joint_state' in": (
         changed(sprockets={"from": "joint_state"}),
@@ -201,7 +203,7 @@ BAD = {
         ),
         "a number, SI",
     ),
-    "topics both with and without 'from'": (changed(hydraulics={}), "one log"),
+    "topics both with and without 'from'": (changed(hydraulics=PRESSURES), "one log"),
     "'time' is of CSV logs": ({**MAPPING, "time": {"column": "t", "unit": "s"}}, "from alone"),
 }
 
@@ -209,14 +211,6 @@ BAD = {
 @pytest.mark.parametrize("message", BAD)
 def test_what_does_not_fit_is_named_in_one_line(log: Path, tmp_path: Path, message: str) -> None:
     mapping, rest = BAD[message]
-    if message.startswith("topics both"):
-        pressures = {"column": "p", "unit": "bar"}
-        hydraulics = {
-            "left_pressure": pressures,
-            "right_pressure": pressures,
-            "time": {"column": "t", "unit": "s"},
-        }
-        mapping = changed(hydraulics=hydraulics)
     with pytest.raises(InputError) as caught:
         imported(log, tmp_path, mapping)
     assert message in str(caught.value)
