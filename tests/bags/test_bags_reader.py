@@ -244,9 +244,9 @@ def test_a_split_recording_is_read_as_one(tmp_path: Path) -> None:
 def test_damage_inside_is_reported_not_read(tmp_path: Path) -> None:
     path = write_long(tmp_path / "bag")
     damage_chunk(path / "bag_0.mcap", 3)
-    with open_bag(path) as bag, pytest.raises(InputError, match="damaged inside") as caught:
+    remedy = r"damaged inside \([^\n]*\); trackslip recover saves the rest\Z"
+    with open_bag(path) as bag, pytest.raises(InputError, match=remedy):
         list(bag.messages())
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("name", "content"), [("bag.mcap", b"\x89MCAP0\r\n"), ("bag", None)])

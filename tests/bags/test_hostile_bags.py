@@ -155,14 +155,6 @@ def test_a_full_disk_leaves_no_bag(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_leaves_nothing_of_recover(tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    path = text_bag(tmp_path / "bag")
-    request.getfixturevalue("full_disk")
-    with pytest.raises(InputError, match="cannot be written"):
-        recover(path, tmp_path / "recovered")
-    assert [file.name for file in tmp_path.iterdir()] == ["bag"]
-
-
 @pytest.mark.parametrize(
     ("name", "is_inside"), [("bag.mcap", False), ("bag.db3", False), ("bag", False), ("bag_0.mcap", True)]
 )

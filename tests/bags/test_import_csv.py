@@ -281,7 +281,7 @@ HEADS = {
     "semicolons": "t;l;r\n1;2;3\n",
     "tabs": "t\tl\tr\n1\t2\t3\n",
     "quotes": '"t","l","r"\n"1","2","3"\n',
-    "windows": "t,l,r\r\n1,2,3\r\n",
+    "windows": "t,l,r\r\n1,2,3\r\n\r\n",
     "no end": "t,l,r\n1,2,3",
     "spaces": "t , l, r\n 1 , 2 , 3\n",
     "blanks behind": "t,l,r,,\n1,2,3,,\n",
@@ -490,5 +490,5 @@ def test_times_that_go_back_are_shown_to_the_digit_that_differs(
 ) -> None:
     text = "\n".join(("t,l,r", *(f"{time},1,1" for time in times), ""))
     sides = {f"{side}_velocity": {"column": side[0], "unit": "rad/s"} for side in ("left", "right")}
-    with pytest.raises(InputError, match=re.escape(f"column 't' goes back from {between};")):
+    with pytest.raises(InputError, match=re.escape(f"line 3, column 't' goes back from {between};")):
         import_csv(tmp_path, text, {"sprockets": sides}, time={"column": "t", "unit": unit})

@@ -71,15 +71,6 @@ def test_messages_in_the_write_ahead_log_are_read(tmp_path: Path, before: int, k
     assert database.read_bytes() == content
 
 
-def test_info_and_recover_count_the_write_ahead_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = killed(tmp_path, "WAL", 0)
-    assert main(["info", str(bag)]) == ExitCode.DONE
-    assert f" {COUNT}" in capsys.readouterr().out
-    assert main(["recover", str(bag), "--output", str(tmp_path / "out")]) == ExitCode.DONE
-
-
 def test_hot_journal_is_never_ignored(tmp_path: Path) -> None:
     """The database holds half a transaction; only the journal can undo it."""
     bag = killed(tmp_path, "DELETE", 100)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from fixtures.made_bags import damage_chunk
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from trackslip_bags.messages import header, make, serialize
@@ -230,10 +229,3 @@ def _cut(path: Path) -> None:
 def test_bags_of_every_form_make_the_same_rows(tmp_path: Path, write_other: Callable[[Path], Any]) -> None:
     write_other(tmp_path / "other")
     assert read(tmp_path / "other") == read(write(tmp_path / "bag"))
-
-
-def test_damage_inside_is_reported(tmp_path: Path) -> None:
-    file = next(write(tmp_path / "bag").glob("*.mcap"))
-    damage_chunk(file, 0)
-    with pytest.raises(InputError, match=r"damaged inside \(.*\); trackslip recover saves the rest$"):
-        read(tmp_path / "bag")
