@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.chunks import read_stretches
-from trackslip_bags.mcap_index import Bytes
+from trackslip_bags import chunks
 from trackslip_bags.reader import Bag
 from trackslip_bags.types import fields_by
 from trackslip_common.arrays import BoolArray, IntArray
@@ -55,16 +54,10 @@ class TopicTable:
     ``order`` (n,): positions among all messages of the stretch; ``log_times_ns`` (n,): log times.
     """
 
-    def __init__(
-        self,
-        topic: "_Topic",
-        order: IntArray,
-        log_times_ns: IntArray,
-        located: tuple[Bytes, IntArray, IntArray],
-    ) -> None:
-        self.order, self.log_times_ns = order, log_times_ns
-        self._topic = topic
-        self._buffer, self._starts, self._lengths = located
+    def __init__(self, topic: "_Topic", order: IntArray, stretch: chunks.Stretch) -> None:
+        self.order, self.log_times_ns = order, stretch.log_times_ns[order]
+        self._topic, self._buffer = topic, stretch.buffer
+        self._starts, self._lengths = stretch.starts[order], stretch.lengths[order]
 
     def __len__(self) -> int:
         return len(self.order)
@@ -187,11 +180,10 @@ def read_tables(
         InputError: the bag is damaged inside.
     """
     requested = [_Topic(bag, topic) for topic in bag.matching_topics(topics)]
-    for stretch in read_stretches(bag, topics, start_ns, stop_ns):
+    for stretch in chunks.read_stretches(bag, topics, start_ns, stop_ns):
         tables = {}
         for number, topic in enumerate(requested):
             order = np.flatnonzero(stretch.topics == number)
             if order.size:
-                located = stretch.buffer, stretch.starts[order], stretch.lengths[order]
-                tables[topic.topic] = TopicTable(topic, order, stretch.log_times_ns[order], located)
+                tables[topic.topic] = TopicTable(topic, order, stretch)
         yield Stretch(stretch.until_ns, tables)
