@@ -4,6 +4,7 @@
 
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -69,13 +70,9 @@ class Ros1Bags:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.path = paths[0]
-        self._readers: list[Reader] = []
-        try:
-            for path in paths:
-                self._open(path)
-        except InputError:
-            self.close()
-            raise
+        with ExitStack() as opened:
+            self._readers = [opened.enter_context(closing(_open_ros1(path))) for path in paths]
+            self._files = opened.pop_all()
 
     @property
     def types(self) -> Mapping[str, str]:
@@ -91,27 +88,11 @@ class Ros1Bags:
         parts = [self._read_one(reader, frozenset(topics)) for reader in self._readers]
         yield from heapq.merge(*parts, key=attrgetter("log_time_ns"))
 
-    def close(self) -> None:
-        """Close the files."""
-        for reader in self._readers:
-            reader.close()
-        self._readers = []
-
     def __enter__(self) -> "Ros1Bags":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _open(self, path: Path) -> None:
-        reader = Reader(path)
-        try:
-            reader.open()
-        except Exception as error:
-            hint = "; rosbag reindex mends one that was cut off" if "index" in str(error) else ""
-            text = f"bag '{path}' cannot be read ({error_line(error)}){hint}"
-            raise InputError(f"{text}; accepted: a ROS 1 bag of format 2.0") from error
-        self._readers.append(reader)
+        self._files.close()
 
     def _read_one(self, reader: Reader, topics: frozenset[str]) -> Iterator[LoggedMessage]:
         connections = [c for c in reader.connections if absolute_name(c.topic) in topics]
@@ -128,3 +109,14 @@ class Ros1Bags:
                 yield LoggedMessage(absolute_name(connection.topic), time_ns, content)
         except Exception as error:
             raise InputError(f"bag '{reader.path}' is damaged inside ({error_line(error)})") from error
+
+
+def _open_ros1(path: Path) -> Reader:
+    reader = Reader(path)
+    try:
+        reader.open()
+    except Exception as error:
+        hint = "; rosbag reindex mends one that was cut off" if "index" in str(error) else ""
+        text = f"bag '{path}' cannot be read ({error_line(error)}){hint}"
+        raise InputError(f"{text}; accepted: a ROS 1 bag of format 2.0") from error
+    return reader
