@@ -74,7 +74,8 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     if vehicle is None and stated is not None:
         vehicle = _vehicle(path, stated)
     _check_parameters(path, parameters, vehicle)
-    geometry = None if vehicle is None else _geometry(vehicle)
+    kinematics = None if vehicle is None else vehicle.kinematics
+    geometry = None if kinematics is None else Geometry(kinematics.rolling_radius, kinematics.tread)
     common: dict[str, Any] = {name: tree[name] for name in _CSV_KEYS if name in tree}
     topics = {name: read_topic(where, name, topic, common, geometry) for name, topic in sections.items()}
     if len({isinstance(topic, BagTopic) for topic in topics.values()}) > 1:
@@ -122,10 +123,6 @@ def _vehicle_in_parameters(parameters: Mapping[str, Any]) -> Any:
         return stated
     numbers = current_names({f"vehicle.{name}": value for name, value in stated.items()})
     return {name.removeprefix("vehicle."): value for name, value in numbers.items()}
-
-
-def _geometry(vehicle: VehicleParameters) -> Geometry:
-    return Geometry(vehicle.kinematics.rolling_radius, vehicle.kinematics.tread)
 
 
 def _datum(where: str, value: Any) -> Datum | None:
