@@ -232,6 +232,9 @@ TIMES = {
     "2026-11-20T14:30": 1_795_185_000_000_000_000,
     "20261120T143000,5Z": 1_795_185_000_500_000_000,
     "20.11.2026 14:30:00,5": 1_795_185_000_500_000_000,
+    "2026/11/20 14:30:00.5": 1_795_185_000_500_000_000,
+    "2026-11-20 14:30:00.5 UTC": 1_795_185_000_500_000_000,
+    "2026-11-20T14:30:00.5GMT": 1_795_185_000_500_000_000,
 }
 
 
@@ -280,6 +283,7 @@ HEADS = {
     "units": "t,l,r\n[s],[rad/s],[rad/s]\n1,2,3\n",
     "semicolons": "t;l;r\n1;2;3\n",
     "tabs": "t\tl\tr\n1\t2\t3\n",
+    "pipes": "t|l|r\n1|2|3\n",
     "quotes": '"t","l","r"\n"1","2","3"\n',
     "windows": "t,l,r\r\n1,2,3\r\n\r\n",
     "no end": "t,l,r\n1,2,3",
@@ -462,15 +466,6 @@ def test_zero_bytes_behind_the_last_row_are_noted(tmp_path: Path, zeros: int, la
     result, messages = imported(tmp_path, log, {"sprockets": WHEELS})
     assert len(messages["sprockets"]) == 3
     assert any("zero bytes" in note for note in result.notes)
-
-
-@pytest.mark.parametrize(
-    "cell", ["2026/11/25 10:00:01.5", "2026-11-25 10:00:01.5 UTC", "2026-11-25T10:00:01.5GMT"]
-)
-def test_dates_of_other_tools_are_read(tmp_path: Path, cell: str) -> None:
-    time = {"column": "t", "unit": "iso8601"}
-    _, messages = imported(tmp_path, f"t|l|r\n{cell}|2|3\n", {"sprockets": WHEELS}, time=time)
-    assert stamp_ns_of(messages["sprockets"][0]) == 1_795_600_801_500_000_000
 
 
 @pytest.mark.parametrize(
