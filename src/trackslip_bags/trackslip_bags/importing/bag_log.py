@@ -72,7 +72,7 @@ def _type_of(log: RobotLog, topic: BagTopic, types: Mapping[str, str]) -> str:
         raise InputError(f"{topic.where}.from: no topic '{source}' in {log.path}{like}; it holds: {there}")
     type_name = types[source]
     if (topic.role, type_name) not in READERS:
-        accepted = ", ".join(ROLES[topic.role].messages)
+        accepted = ", ".join(name for role, name in READERS if role == topic.role)
         raise InputError(f"{topic.where}.from: {source} is a {type_name}; accepted: {accepted}")
     return type_name
 

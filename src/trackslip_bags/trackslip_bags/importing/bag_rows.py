@@ -13,20 +13,7 @@ import numpy as np
 
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import JOINT, NEEDS_GEOMETRY, SIDES, BagTopic, Joints
-from trackslip_bags.importing.roles import (
-    FIX,
-    HYDRAULICS,
-    IMU,
-    JOINTS,
-    ODOMETRY,
-    POSE,
-    POSE_STAMPED,
-    QUATERNION_STAMPED,
-    ROLES,
-    TRANSFORM,
-    TRANSFORMS,
-    TWISTS,
-)
+from trackslip_bags.importing.roles import FIX, HYDRAULICS, IMU, JOINTS, ODOMETRY, POSE, ROLES, VELOCITY
 from trackslip_bags.importing.samples import (
     Values,
     heading_values,
@@ -44,6 +31,11 @@ from trackslip_common.turns import unwrap_angles
 
 Row = tuple[float, ...]
 
+_POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+_TRANSFORMS = ("geometry_msgs/msg/TransformStamped", "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_TWIST = "geometry_msgs/msg/Twist"
+_STAMPED_TWISTS = ("geometry_msgs/msg/TwistStamped", VELOCITY)
+_QUATERNION_STAMPED = "geometry_msgs/msg/QuaternionStamped"
 NO_JOINTS = "has none of the joints"
 NO_FIX = "receiver without a fix"
 _NAN_4, _ZERO_9 = (math.nan,) * 4, (0.0,) * 9
@@ -194,19 +186,19 @@ def _read_hydraulics(message: Any, topic: BagTopic) -> Iterator[Reading]:
 
 READERS: Mapping[tuple[str, str], Reader] = {
     ("sprockets", JOINTS): _read_joints,
-    **{("sprockets", name): _read_twist for name in (ODOMETRY, *TWISTS)},
+    **{("sprockets", name): _read_twist for name in (ODOMETRY, _TWIST, *_STAMPED_TWISTS)},
     ("imu", IMU): _read_imu,
-    **{("heading", name): _read_heading for name in (IMU, QUATERNION_STAMPED)},
+    **{("heading", name): _read_heading for name in (IMU, _QUATERNION_STAMPED)},
     ("swing", JOINTS): _read_joints,
-    **{("pose", name): _read_pose for name in (POSE, POSE_STAMPED, ODOMETRY)},
-    **{("pose", name): _read_transform for name in (TRANSFORM, *TRANSFORMS)},
+    **{("pose", name): _read_pose for name in (POSE, _POSE_STAMPED, ODOMETRY)},
+    **{("pose", name): _read_transform for name in _TRANSFORMS},
     ("pose", FIX): _read_fix,
     ("fix", FIX): _read_fix,
-    **{("velocity", name): _read_velocity for name in TWISTS[1:]},
+    **{("velocity", name): _read_velocity for name in _STAMPED_TWISTS},
     ("odometry", ODOMETRY): _read_odometry,
     ("hydraulics", HYDRAULICS): _read_hydraulics,
 }
-"""(role, message type) → reader."""
+"""(role, accepted message type) → reader."""
 
 
 def rejections(

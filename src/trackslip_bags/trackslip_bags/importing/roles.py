@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Roles of topics: the fields that columns fill, and the accepted message types of other robots."""
+"""Roles of topics: the type and frame of their messages, and the fields that columns fill."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,15 +15,6 @@ IMU = "sensor_msgs/msg/Imu"
 FIX = "sensor_msgs/msg/NavSatFix"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
-POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
-TRANSFORM = "geometry_msgs/msg/TransformStamped"
-TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-TWISTS = (
-    "geometry_msgs/msg/Twist",
-    "geometry_msgs/msg/TwistStamped",
-    VELOCITY,
-)
-QUATERNION_STAMPED = "geometry_msgs/msg/QuaternionStamped"
 HYDRAULICS = "trackslip_msgs/msg/TrackHydraulics"
 
 _POSITION = ("length",)
@@ -48,14 +39,13 @@ class Role:
 
     ``fields``: possible columns of a CSV log: name → quantities, one of which the unit must measure.
     ``choices``: groups of fields; in each choice, the given fields must be exactly one group. ``axes``: those
-    with a standard deviation or covariance, and its quantity. ``messages``: accepted types in a bag.
+    with a standard deviation or covariance, and its quantity.
     """
 
     type_name: str
     frame: str
     fields: Mapping[str, Group]
     choices: tuple[tuple[Group, ...], ...]
-    messages: tuple[str, ...]
     axes: Mapping[str, str]
     optional: tuple[str, ...] = ()  # fields, and axes, that a message may lack
 
@@ -90,7 +80,6 @@ ROLES: Mapping[str, Role] = {
             "yaw_rate": _RATE,
         },
         choices=((_VELOCITIES, _VELOCITIES + _POSITIONS, _POSITIONS, ("speed", "yaw_rate")),),
-        messages=(JOINTS, ODOMETRY, *TWISTS),
         axes={},
         optional=_POSITIONS,
     ),
@@ -99,7 +88,6 @@ ROLES: Mapping[str, Role] = {
         frame="imu_link",
         fields={**dict.fromkeys(_RATES, _RATE), **dict.fromkeys(_ACCELERATIONS, _ACCELERATION)},
         choices=((_RATES, _RATES[2:]), ((), _ACCELERATIONS)),
-        messages=(IMU,),
         axes={**dict.fromkeys(_RATES, "angular rate"), **dict.fromkeys(_ACCELERATIONS, "acceleration")},
         optional=(*_RATES[:2], *_ACCELERATIONS),
     ),
@@ -119,7 +107,6 @@ ROLES: Mapping[str, Role] = {
             (("x", "y"), _PLACE, (*_PLACE, "altitude")),
             ((), ("yaw",), ("heading",), QUATERNION),
         ),
-        messages=(POSE, POSE_STAMPED, ODOMETRY, TRANSFORM, *TRANSFORMS, FIX),
         axes={"x": "length", "y": "length", "yaw": "angle"},
         optional=("altitude", "yaw", "heading", *QUATERNION),
     ),
@@ -128,7 +115,6 @@ ROLES: Mapping[str, Role] = {
         frame="gnss_antenna",
         fields={"yaw": _ANGLE, "heading": _ANGLE, **dict.fromkeys(QUATERNION, NUMBER)},
         choices=((("yaw",), ("heading",), QUATERNION),),
-        messages=(IMU, QUATERNION_STAMPED),
         axes={"yaw": "angle"},
     ),
     "swing": Role(
@@ -136,7 +122,6 @@ ROLES: Mapping[str, Role] = {
         frame="base_link",
         fields={"angle": _ANGLE},
         choices=((("angle",),),),
-        messages=(JOINTS,),
         axes={},
     ),
     "fix": Role(
@@ -144,7 +129,6 @@ ROLES: Mapping[str, Role] = {
         frame="gnss_link",
         fields={**dict.fromkeys(_PLACE, _ANGLE), "altitude": _POSITION, "quality": NUMBER, "status": NUMBER},
         choices=((_PLACE, (*_PLACE, "altitude")), ((), ("quality",), ("status",))),
-        messages=(FIX,),
         axes={"x": "length", "y": "length", "z": "length"},
         optional=("altitude", "quality", "status"),
     ),
@@ -156,7 +140,6 @@ ROLES: Mapping[str, Role] = {
             "course": _ANGLE,
         },
         choices=((("east", "north"), ("speed", "course"), ("forward",)),),
-        messages=TWISTS[1:],
         axes={"x": "speed", "y": "speed"},
     ),
     "odometry": Role(
@@ -168,7 +151,6 @@ ROLES: Mapping[str, Role] = {
             **dict.fromkeys(QUATERNION, NUMBER),
         },
         choices=((("x", "y"), ("x", "y", "z")), (("yaw",), QUATERNION)),
-        messages=(ODOMETRY,),
         axes={},
         optional=("z",),
     ),
@@ -183,7 +165,6 @@ ROLES: Mapping[str, Role] = {
             "supply_pressure": _PRESSURE,
         },
         choices=((("left_pressure", "right_pressure"),),),
-        messages=(HYDRAULICS,),
         axes={},
         optional=("left_spool", "right_spool", "supply_pressure"),
     ),
