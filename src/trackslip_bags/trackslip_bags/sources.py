@@ -19,7 +19,7 @@ from trackslip_bags.metadata import MAX_TOPICS
 from trackslip_bags.recovery.salvage import Salvage, salvage
 
 PACKED = ".zstd"
-_FILES = ("*.mcap", "*.db3", f"*.mcap{PACKED}", f"*.db3{PACKED}")
+SUFFIXES = (".mcap", ".db3", f".mcap{PACKED}", f".db3{PACKED}")  # of the files of a bag
 
 unpacking.limit_rosbags()
 sqlite_files.use_companion_files()
@@ -67,7 +67,7 @@ class WholeBag:
     """
 
     def __init__(self, path: Path) -> None:
-        for packed in path.glob("*.zstd"):
+        for packed in path.glob(f"*{PACKED}"):
             unpacking.decompress_file(packed)
         self._reader = Reader(path)
         self._reader.open()
@@ -153,7 +153,7 @@ def bag_files(path: Path) -> list[Path]:
     """The data files of a bag; split files in numeric order: name_2 before name_10."""
     if not path.is_dir():
         return [path]
-    files = [file for pattern in _FILES for file in path.glob(pattern) if file.is_file()]
+    files = [file for suffix in SUFFIXES for file in path.glob(f"*{suffix}") if file.is_file()]
     numbered = [(file.name.removesuffix(PACKED).rpartition("_")[2], file) for file in files]
     distinct: dict[tuple[int, int], Path] = {}
     for _, file in sorted(numbered, key=lambda item: (len(item[0]), item)):

@@ -18,19 +18,18 @@ from trackslip_bags.importing.samples import Samples
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import absolute_name, open_bag
-from trackslip_bags.sources import error_line
+from trackslip_bags.sources import SUFFIXES, error_line
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.make import stamp_ns_of
 
 _ROS1 = (".bag", ".bag.active")
-_ROS2 = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a bag: a directory of one, or a file with a bag's name."""
     if path.is_dir():
-        return (path / METADATA).exists() or any(file.name.endswith(_ROS2) for file in path.iterdir())
-    return path.name.endswith((*_ROS1, *_ROS2))
+        return (path / METADATA).exists() or any(file.name.endswith(SUFFIXES) for file in path.iterdir())
+    return path.name.endswith((*_ROS1, *SUFFIXES))
 
 
 def read_bag_log(
