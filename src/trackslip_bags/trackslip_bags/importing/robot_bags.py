@@ -37,10 +37,14 @@ class RobotLog(Protocol):
 
     @property
     def types(self) -> Mapping[str, str]:
-        """Topic → type name."""
+        """Topic → type name, as ROS 2 writes it."""
 
     def read(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
-        """Messages in log order."""
+        """Messages in log order.
+
+        Raises:
+            InputError: the bag is damaged inside.
+        """
 
 
 class Ros2Bag:
@@ -51,15 +55,9 @@ class Ros2Bag:
 
     @property
     def types(self) -> Mapping[str, str]:
-        """Topic → type name."""
         return {absolute_name(topic): info.type_name for topic, info in self._bag.topics.items()}
 
     def read(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
-        """Messages in log order.
-
-        Raises:
-            InputError: the bag is damaged inside.
-        """
         for message in self._bag.messages(topics):
             content = self._bag.deserialize(message.raw, message.type_name)
             yield LoggedMessage(absolute_name(message.topic), message.log_time_ns, content)
@@ -76,15 +74,9 @@ class Ros1Bags:
 
     @property
     def types(self) -> Mapping[str, str]:
-        """Topic → type name, as ROS 2 writes it."""
         return {absolute_name(c.topic): c.msgtype for reader in self._readers for c in reader.connections}
 
     def read(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
-        """Messages in log order.
-
-        Raises:
-            InputError: a bag is damaged inside.
-        """
         parts = [self._read_one(reader, frozenset(topics)) for reader in self._readers]
         yield from heapq.merge(*parts, key=attrgetter("log_time_ns"))
 
