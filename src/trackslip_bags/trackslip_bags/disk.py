@@ -4,7 +4,6 @@
 
 import os
 import re
-import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
@@ -99,9 +98,8 @@ class DiskWatch:
     def __init__(self) -> None:
         self._free_space: deque[tuple[float, int]] = deque()
 
-    def add(self, free: int, now_s: float | None = None) -> None:
+    def add(self, free: int, now_s: float) -> None:
         """Add the free space now, bytes; ``now_s``: time of a steady clock."""
-        now_s = time.monotonic() if now_s is None else now_s
         self._free_space.append((now_s, free))
         while now_s - self._free_space[0][0] > _OBSERVATION_TIME:
             self._free_space.popleft()

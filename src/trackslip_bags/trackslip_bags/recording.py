@@ -165,7 +165,7 @@ class Recording:
             bag.remove_file(file.name) if file.parent == bag.path else remove_recorded(file)
 
     def _watch_disk(self) -> None:
-        self._disk_watch.add(shutil.disk_usage(self.bag.path).free)
+        self._disk_watch.add(shutil.disk_usage(self.bag.path).free, time.monotonic())
 
     def _try_on_disk(self, work: Callable[[], None]) -> bool:
         """Do ``work`` unless the disk has failed; returns whether it succeeded."""
