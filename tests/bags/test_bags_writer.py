@@ -73,8 +73,9 @@ def test_a_clock_set_back_closes_the_chunk_too(tmp_path: Path) -> None:
     bag.close()
 
 
-def test_metadata_states_what_is_in_the_bag(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "run", distro="jazzy") as bag:
+def test_metadata_states_what_is_in_the_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "kilted")
+    with BagWriter(tmp_path / "run") as bag:
         bag.add_topic("/imu", IMU, QOS)
         bag.add_topic("/silent", TEXT)
         for stamp_ns in (5000, 7000, 6000):
@@ -83,7 +84,7 @@ def test_metadata_states_what_is_in_the_bag(tmp_path: Path) -> None:
     text = (tmp_path / "run" / "metadata.yaml").read_text(encoding="utf-8")
     assert "&" not in text  # no YAML anchors
     info = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    assert (info["version"], info["storage_identifier"], info["ros_distro"]) == (9, "mcap", "jazzy")
+    assert (info["version"], info["storage_identifier"], info["ros_distro"]) == (9, "mcap", "kilted")
     assert info["starting_time"] == {"nanoseconds_since_epoch": 5000}
     assert info["duration"] == {"nanoseconds": 2000}
     assert info["message_count"] == 3

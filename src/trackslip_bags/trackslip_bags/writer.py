@@ -56,7 +56,6 @@ class BagWriter:
 
     Args:
         path: the directory to create.
-        distro: ROS distribution to name in the metadata; by default the one in use.
         split_size: size of a file, bytes, at which the next one begins.
         split_duration: largest log time span of a file, s.
         library: name of the writer in each file.
@@ -69,13 +68,11 @@ class BagWriter:
     def __init__(
         self,
         path: Path | str,
-        distro: str | None = None,
         split_size: float = math.inf,
         split_duration: float = math.inf,
         library: str = "trackslip",
     ) -> None:
         self.path = Path(path)
-        self.distro = distro or ros_distro()
         self._split_size, self._split_ns = split_size, split_duration * 1e9
         self._library = library
         self.topics: dict[str, Topic] = {}
@@ -194,7 +191,7 @@ class BagWriter:
             return
         self._file.close()
         remaining = {n: replace(t, count=t.count - self._removed[n]) for n, t in self.topics.items()}
-        text = metadata_text(remaining, self._extents, self.distro)
+        text = metadata_text(remaining, self._extents, ros_distro())
         replace_atomically(self.path / METADATA, text)
 
     def abandon(self) -> None:
