@@ -14,7 +14,7 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
 from trackslip_bags.importing.robot_bags import LoggedMessage, RobotLog, Ros1Bags, Ros2Bag
 from trackslip_bags.importing.roles import JOINTS, ROLES
-from trackslip_bags.importing.samples import Samples
+from trackslip_bags.importing.samples import Samples, SelectedRows
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import absolute_name, open_bag
@@ -133,15 +133,15 @@ class _Collector:
             raise InputError(self._no_sample_text())
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
         rows = np.array(self._rows, np.float64)
-        used = np.ones(len(rows), np.bool_)
+        chosen = SelectedRows(np.ones(len(rows), np.bool_))
         for reason, rejected in rejections(rows, topic, self._type_name, local):
-            self._left_out[reason] += int((used & rejected).sum())
-            used &= ~rejected
+            chosen.reject(rejected, reason)
+        used = chosen.rows
         values = values_of(rows[used], stamps_ns[used], topic, self._type_name, local)
         frames = [self._frames[k] for k in np.flatnonzero(used).tolist()]
         frames = frames if len(set(frames)) > 1 else frames[:1]
         times = stamps_ns[used], log_times_ns[used]
-        left_out = +self._left_out
+        left_out = self._left_out + chosen.left_out
         return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
 
     def _no_sample_text(self) -> str:

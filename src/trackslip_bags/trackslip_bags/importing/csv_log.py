@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of CSV logs by a mapping: one or several files on one time base, each with own columns and rate."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +14,7 @@ from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_t
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
-from trackslip_bags.importing.samples import Samples, Values, yaw_of
+from trackslip_bags.importing.samples import Samples, SelectedRows, Values, yaw_of
 from trackslip_bags.importing.times import LIMIT_NS, time_text, unit_hint
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
@@ -80,21 +78,6 @@ def _requested(topics: Sequence[CsvTopic]) -> Requested:
     )
 
 
-class _SelectedRows:
-    """The rows that become messages, and the reasons why others do not."""
-
-    def __init__(self, rows: BoolArray) -> None:
-        self.rows = rows.copy()
-        self.left_out: Counter[str] = Counter()
-
-    def reject(self, bad: Any, reason: str) -> None:
-        """Leave out the rows ``bad``, (rows,) of bool, and count them under ``reason``."""
-        count = int((self.rows & bad).sum())
-        if count:
-            self.left_out[reason] += count
-            self.rows &= ~bad
-
-
 def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) -> Samples:
     """Samples of one topic of a file."""
     role = ROLES[topic.role]
@@ -102,7 +85,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     columns = _columns(table, topic, stamps_ns)
     spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
     present = np.isfinite([columns[name] for name in role.required_fields(columns)])
-    chosen = _SelectedRows(present.any(axis=0) & _is_new(table, topic))
+    chosen = SelectedRows(present.any(axis=0) & _is_new(table, topic))
     chosen.reject(~present.all(axis=0), "some cells are blank")
     chosen.reject(stamps_ns == NO_TIME, "no time")
     for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():

@@ -8,7 +8,6 @@ NAV-PVT states, or that the mapping gives. A sentence without a time (HDT, THS) 
 
 import codecs
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import date
@@ -21,7 +20,13 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.recorded_devices import GnssSection
 from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import Samples, heading_values, level_quaternions, without_heading
+from trackslip_bags.importing.samples import (
+    Samples,
+    SelectedRows,
+    heading_values,
+    level_quaternions,
+    without_heading,
+)
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.config_files import load_parameters
@@ -266,15 +271,15 @@ def _fix_samples(
         )
     if not has_accuracy.any():
         return
-    is_used, left_out = has_accuracy, Counter[str]()
+    chosen = SelectedRows(has_accuracy)
     for reason, rejected in local.rejections(place, has_accuracy, f"{section.where}: {source}"):
-        left_out[reason] = int(rejected.sum())
-        is_used = is_used & ~rejected
+        chosen.reject(rejected, reason)
+    is_used = chosen.rows
     east_north: FloatArray = local.east_north(place[is_used])
     planar = np.column_stack((east_north, np.full(len(east_north), np.nan)))
     pose_values = without_heading(planar, covariance[is_used].copy())
     times = stamps_ns[is_used], stamps_ns[is_used]
-    yield Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, pose_values, +left_out, source)
+    yield Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, pose_values, chosen.left_out, source)
 
 
 def _velocity_samples(

@@ -27,7 +27,7 @@ import numpy as np
 from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.messages import header, make
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_estimation.slip.conversions import pose_with_covariance
 from trackslip_estimation.slip.measurements import UNOBSERVED, PoseFix
@@ -62,6 +62,21 @@ class Samples:
         return make(
             ROLES[self.role].type_name, header=header(stamp_ns, frame), **_BUILDERS[self.role](values)
         )
+
+
+class SelectedRows:
+    """The rows, (n,) of bool, that become messages, and the reasons why others do not."""
+
+    def __init__(self, rows: BoolArray) -> None:
+        self.rows = rows.copy()
+        self.left_out: Counter[str] = Counter()
+
+    def reject(self, bad: BoolArray, reason: str) -> None:
+        """Leave out the rows ``bad``, (n,) of bool, and count them under ``reason``."""
+        count = int((self.rows & bad).sum())
+        if count:
+            self.left_out[reason] += count
+            self.rows &= ~bad
 
 
 def track_speeds(speed: FloatArray, yaw_rate: FloatArray, geometry: Geometry) -> FloatArray:
