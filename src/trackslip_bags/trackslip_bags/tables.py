@@ -10,7 +10,7 @@ the bytes: in messages with equal strings and lengths of sequences, each number 
 (``layout``). Messages of irregular layout are read one by one.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -28,24 +28,15 @@ from trackslip_common.message_reading import RecordClass, dtype_of, read, select
 _LAYOUTS = 64  # per topic; messages of further layouts are read one by one
 
 
-class Stretch(Mapping[str, "TopicTable"]):
+class Stretch(dict[str, "TopicTable"]):
     """The messages of some seconds, by topic as in the bag; topics without messages are absent.
 
     ``until_ns``: every message logged before this time is in this or an earlier stretch.
     """
 
-    def __init__(self, until_ns: int, tables: Mapping[str, "TopicTable"]) -> None:
+    def __init__(self, until_ns: int) -> None:
+        super().__init__()
         self.until_ns = until_ns
-        self._tables = tables
-
-    def __getitem__(self, topic: str) -> "TopicTable":
-        return self._tables[topic]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._tables)
-
-    def __len__(self) -> int:
-        return len(self._tables)
 
 
 class TopicTable:
@@ -181,9 +172,9 @@ def read_tables(
     """
     requested = [_Topic(bag, topic) for topic in bag.matching_topics(topics)]
     for stretch in chunks.read_stretches(bag, topics, start_ns, stop_ns):
-        tables = {}
+        tables = Stretch(stretch.until_ns)
         for number, topic in enumerate(requested):
             order = np.flatnonzero(stretch.topics == number)
             if order.size:
                 tables[topic.topic] = TopicTable(topic, order, stretch)
-        yield Stretch(stretch.until_ns, tables)
+        yield tables
