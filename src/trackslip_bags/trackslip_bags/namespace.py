@@ -5,7 +5,6 @@
 from collections.abc import Collection, Iterator
 
 from trackslip_bags.sources import BagMessage, Source, TopicInfo, merge_topics
-from trackslip_common.errors import InputError
 
 _GLOBAL_TOPICS = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics outside of namespaces
 
@@ -39,15 +38,3 @@ class NamespaceView:
     def close(self) -> None:
         """Close the part."""
         self._source.close()
-
-
-def require_in_namespace(topics: Collection[str], namespace: str) -> None:
-    """Check that a bag has topics in a namespace.
-
-    Raises:
-        InputError: it has none; names the namespaces of the bag.
-    """
-    if not any(topic.startswith(f"/{namespace.strip('/')}/") for topic in topics):
-        there = sorted({topic.split("/")[1] for topic in topics if topic.count("/") > 1})
-        accepted = ", ".join(there) or "none: no topic of the bag has a namespace"
-        raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
