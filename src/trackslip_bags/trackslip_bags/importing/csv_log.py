@@ -151,14 +151,10 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
             raise InputError(f"{place} {has}; accepted: {accepted}")
 
 
-def _sum_increments(values: FloatArray, column: Column) -> FloatArray:
-    """(n,) sums of increments; nan where a row has none."""
+def _present_values(numbers: FloatArray, column: Column) -> FloatArray:
+    """(n,) values or sums of increments; nan where the number marks a missing one."""
+    values = np.where(np.isin(numbers, column.missing), np.nan, numbers) if column.missing else numbers
     return np.where(np.isnan(values), np.nan, np.nancumsum(values)) if column.increments else values
-
-
-def _replace_missing(values: FloatArray, column: Column) -> FloatArray:
-    """(n,) values, with nan for those that mark missing ones."""
-    return np.where(np.isin(values, column.missing), np.nan, values) if column.missing else values
 
 
 def _note_zeros(table: Table, topic: CsvTopic) -> None:
@@ -177,7 +173,7 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
     """(rows,) values of each column, SI; angles of sprockets may restart after each turn of the encoder."""
     _note_zeros(table, topic)
     numbers = {
-        name: [_sum_increments(_replace_missing(table.numbers[n], column), column) for n in column.names]
+        name: [_present_values(table.numbers[n], column) for n in column.names]
         for name, column in topic.columns.items()
     }
     si_values = {name: _to_si(numbers[name], column, topic) for name, column in topic.columns.items()}
