@@ -18,7 +18,6 @@ from trackslip_common.message_fields import OdometryFields
 from trackslip_common.orientations import headings_of
 from trackslip_tools.cli.main import main
 
-ROOT = Path(__file__).parents[2]
 DATUM = (52.0, 13.0, 40.0)  # deg, deg, m
 
 

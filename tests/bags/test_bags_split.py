@@ -93,7 +93,7 @@ def test_a_clock_set_back_does_not_split_at_every_message(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("flushed", [True, False])
-def test_unflushed_files_are_reported(tmp_path: Path, flushed: bool) -> None:
+def test_unflushed_messages_are_counted(tmp_path: Path, flushed: bool) -> None:
     bag = BagWriter(tmp_path / "bag")
     bag.write("/once", TEXT, serialize(make(TEXT, data="a")), 0)
     if flushed:

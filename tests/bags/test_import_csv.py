@@ -422,11 +422,9 @@ MISTAKES = {
     "time: 2 columns and 1 units; accepted": {"time": {"column": ["secs", "nsecs"], "unit": "s"}},
     "csv.decimal: a comma, as the delimiter is": {"csv": {"decimal": "comma", "delimiter": "comma"}},
     "csv: unknown key 'seperator'": {"csv": {"seperator": ";"}},
-    "time.unit: 'seconds' is unknown": {"time": {"column": "t", "unit": "seconds"}},
     "datum: unknown key 'lattitude', did you mean 'latitude'?": {"datum": {"lattitude": 48.0}},
     "datum: 95, 11 is out of range": {"datum": {"latitude": 95, "longitude": 11}},
     "zone: '1h' is not accepted": {"time": {"column": "t", "unit": "iso8601", "zone": "1h"}},
-    "unknown key 'origin'": {"origin": 3},
 }
 
 
