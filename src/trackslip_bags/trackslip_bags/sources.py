@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readable parts of a bag: files that rosbags opens, and the readable rest of damaged MCAP files."""
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Protocol
@@ -16,7 +18,7 @@ from rosbags.rosbag2.storage_mcap import McapReader
 
 from trackslip_bags import sqlite_files, unpacking
 from trackslip_bags.metadata import MAX_TOPICS
-from trackslip_bags.recovery.salvage import Salvage, salvage
+from trackslip_bags.recovery.salvage import DamagedFile
 
 PACKED = ".zstd"
 SUFFIXES = (".mcap", ".db3", f".mcap{PACKED}", f".db3{PACKED}")  # of the files of a bag
@@ -123,25 +125,33 @@ def _storages(reader: Reader) -> list[Any]:
 
 
 class SalvagedFile:
-    """An MCAP file that rosbags refuses, usually truncated."""
+    """The complete messages of an MCAP file that rosbags refuses, usually truncated.
 
-    def __init__(self, content: Salvage) -> None:
-        self._content = content
-        times = [time_ns for time_ns, _, _ in content.messages]
+    All messages are in memory: recordings are split long before their size matters. ``problem`` describes
+    the damage; empty if the file is complete.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        file = DamagedFile(path)
+        messages = ((m.log_time, m.channel_id, m.data) for m in file.messages())
+        self._messages = sorted(messages, key=itemgetter(0))
+        self._topics, self.problem = file.topics, file.problem
+        times = [time_ns for time_ns, _, _ in self._messages]
         self.start_ns, self.end_ns = (times[0], times[-1]) if times else (0, -1)
 
     def topics(self) -> dict[str, TopicInfo]:
-        counts = dict.fromkeys(self._content.topics, 0)
-        for _, channel, _ in self._content.messages:
-            counts[channel] += 1
+        counts = Counter(channel for _, channel, _ in self._messages)
         return merge_topics(
             {topic.topic: TopicInfo(topic.type_name, counts[channel], topic.definition)}
-            for channel, topic in self._content.topics.items()
+            for channel, topic in self._topics.items()
         )
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
-        for time_ns, channel, raw in self._content.messages:
-            topic = self._content.topics[channel]
+        for time_ns, channel, raw in self._messages:
+            topic = self._topics[channel]
             if start_ns <= time_ns < stop_ns and (names is None or topic.topic in names):
                 yield BagMessage(topic.topic, topic.type_name, time_ns, raw)
 
@@ -182,12 +192,12 @@ def open_file(path: Path) -> tuple[Source | None, str]:
     if begins_with(path, sqlite_files.MAGIC):
         return None, f"{path.name}: {reason}"
     try:
-        content = salvage(path)
+        file = SalvagedFile(path)
     except OSError as error:
         return None, f"{path.name}: {error.strerror}"
-    if not content.topics:
+    if not file.topics():
         return None, f"{path.name}: {reason}"
-    return SalvagedFile(content), f"{path.name}: {content.problem or reason}"
+    return file, f"{path.name}: {file.problem or reason}"
 
 
 def _open_packed(path: Path) -> tuple[Source | None, str]:

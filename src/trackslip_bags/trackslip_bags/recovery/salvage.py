@@ -162,30 +162,6 @@ class DamagedFile:
         return is_usable
 
 
-class Salvage(NamedTuple):
-    """Readable content of a damaged file; messages are (log time in ns, channel, CDR bytes) in log order.
-
-    All messages are in memory: recordings are split long before their size matters. ``problem`` is empty if
-    the file is complete.
-    """
-
-    topics: dict[int, SalvagedTopic]
-    messages: list[tuple[int, int, bytes]]
-    problem: str
-
-
-def salvage(path: Path) -> Salvage:
-    """Read a damaged file as far as possible.
-
-    Raises:
-        OSError: it cannot be opened.
-    """
-    file = DamagedFile(path)
-    messages = [(m.log_time, m.channel_id, m.data) for m in file.messages()]
-    messages.sort(key=lambda message: message[0])
-    return Salvage(file.topics, messages, file.problem)
-
-
 def _topic(channel: Channel, schema: Schema) -> SalvagedTopic:
     is_known = schema.encoding in _FORMATS
     data = schema.data if is_known else b""
