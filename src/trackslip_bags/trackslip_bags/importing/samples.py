@@ -71,7 +71,7 @@ class SelectedRows:
         self.rows = rows.copy()
         self.left_out: Counter[str] = Counter()
 
-    def reject(self, bad: BoolArray, reason: str) -> None:
+    def reject(self, bad: Any, reason: str) -> None:
         """Leave out the rows ``bad``, (n,) of bool, and count them under ``reason``."""
         count = int((self.rows & bad).sum())
         if count:
