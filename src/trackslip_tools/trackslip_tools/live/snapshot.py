@@ -11,7 +11,7 @@ from trackslip_common.message_reading import read
 from trackslip_common.topics import FORCES, ODOMETRY, SOIL, TRACK_SLIP
 from trackslip_tools.live import inputs
 from trackslip_tools.live.strips import MOTION
-from trackslip_tools.report.quantities import Columns
+from trackslip_tools.report.quantities import Columns, classes_of
 
 STANDING = 1  # motion_state of TrackSlip
 _MAX_AGE_S = 1.0
@@ -37,7 +37,7 @@ class Snapshot:
         if topic in inputs.TYPES:  # other pose sources are drawn only as fixes
             self._records[topic] = (record, now_s)
         if topic == SOIL:
-            self.classes, self.reason = inputs.classes_of(message), str(message.reason)
+            self.classes, self.reason = classes_of(message), str(message.reason)
         return record
 
     def get(self, topic: str, now_s: float) -> Any | None:

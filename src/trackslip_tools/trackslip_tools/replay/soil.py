@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the soil estimator over a replay; its inputs are the replayed slips and the hydraulics of the bag."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,9 +17,7 @@ from trackslip_common.message_reading import dtype_of, read
 from trackslip_common.tally import Tally
 from trackslip_common.topics import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import (
-    FORCES as FORCES_RECORD,
-)
+from trackslip_estimation.soil.records import FORCES as FORCES_RECORD
 from trackslip_estimation.soil.records import (
     HYDRAULICS,
     IS_HYDRAULICS,
@@ -169,7 +168,7 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
     """Compare every live number with the replayed one; per topic, between first and last common stamps."""
     compared = unmatched = 0
     largest = 0.0
-    for topic, replayed in ((FORCES, _force_rows(result.forces)), (SOIL, _soil_rows(result))):
+    for topic, replayed in ((FORCES, force_rows(result.forces)), (SOIL, soil_rows(result.states))):
         live = result.series.get(topic)
         if live is None or not len(live) or not len(replayed):
             continue
@@ -195,7 +194,7 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
     return SoilComparison(compared, unmatched, largest)
 
 
-def _force_rows(forces: Rows) -> Rows:
+def force_rows(forces: Rows) -> Rows:
     """(n,) records of ``ForceFields``, with the values of messages."""
     rows = np.empty(len(forces), dtype_of(ForceFields))
     rows["stamp_ns"] = forces["stamp_ns"]
@@ -204,9 +203,9 @@ def _force_rows(forces: Rows) -> Rows:
     return rows
 
 
-def _soil_rows(result: SoilReplay) -> Rows:
+def soil_rows(states: Iterable[SoilState]) -> Rows:
     """(n,) records of ``SoilFields``, with the values of messages."""
-    messages = (conversions.soil_estimate(make, s, result.parameters.base_frame) for s in result.states)
+    messages = (conversions.soil_estimate(make, state, "") for state in states)
     return np.array([tuple(read(SoilFields, m)) for m in messages], dtype=dtype_of(SoilFields))
 
 

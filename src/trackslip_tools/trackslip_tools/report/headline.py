@@ -139,7 +139,7 @@ def _soil_fact(run: Run) -> Fact:
         return Fact("Soil", _NO_VALUE, "neither hydraulics nor soil estimates in the bag")
     last = numbers.rows[-1]
     note = f"K {100.0 * last['shear_modulus']:.1f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
-    chances = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
+    chances = numbers.classes_at(-1)
     if not chances:
         return Fact("Soil", "not classified", note)
     likely = max(chances, key=lambda name: chances[name])

@@ -54,6 +54,12 @@ QUANTITIES = (
 )
 
 
+def classes_of(message: Any) -> dict[str, float]:
+    """Soil → probability, of a SoilEstimate; empty if names and probabilities differ in number."""
+    names, chances = list(message.class_names), [float(p) for p in message.class_probabilities]
+    return dict(zip(names, chances, strict=True)) if len(names) == len(chances) else {}
+
+
 class FieldCurve(NamedTuple):
     """A message field shown as a curve."""
 

@@ -139,7 +139,7 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
             name = names[topic]
             logged[name].append(table.log_times_ns)
             if name in numbers:
-                numbers[name].add_table(table)
+                numbers[name].add(table)
             elif name == SCAN and table.type_name == TOPICS[SCAN].type_name:
                 scans.add(table)
             elif name == DIAGNOSTICS and table.type_name == TOPICS[DIAGNOSTICS].type_name:

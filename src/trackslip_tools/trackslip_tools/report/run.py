@@ -5,12 +5,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray, Rows
-from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -18,9 +18,9 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.scoring import path_of
 from trackslip_tools.replay.series import sort_by_stamp
-from trackslip_tools.replay.soil_output import soil_messages
+from trackslip_tools.replay.soil import force_rows, soil_rows
 from trackslip_tools.report.details import Details
-from trackslip_tools.report.numbers import Numbers, NumbersCollector
+from trackslip_tools.report.numbers import Numbers, make_numbers
 from trackslip_tools.report.recording import Recording
 
 
@@ -68,12 +68,17 @@ class Run:
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
         """Forces and soil by topic: of the replay if it computed them, else of the bag."""
-        kinds = {FORCES: ForceFields, SOIL: SoilFields}
-        collectors = {topic: NumbersCollector(kind, self.recording.zero_ns) for topic, kind in kinds.items()}
-        for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
-            if topic in collectors:
-                collectors[topic].add(message)
-        replayed = {topic: collector.numbers() for topic, collector in collectors.items() if len(collector)}
+        soil, start_ns = self.replay.soil, self.recording.zero_ns
+        if soil is None:
+            return self.recording.numbers
+        replayed = {}
+        forces = soil.forces[np.argsort(soil.forces["stamp_ns"], kind="stable")]
+        states = sorted(soil.states, key=attrgetter("stamp_ns"))
+        if len(forces):
+            replayed[FORCES] = make_numbers(force_rows(forces), start_ns)
+        if states:
+            classes, reason = [state.classes for state in states], states[-1].strength.reason
+            replayed[SOIL] = make_numbers(soil_rows(states), start_ns, classes, reason)
         return self.recording.numbers | replayed
 
 

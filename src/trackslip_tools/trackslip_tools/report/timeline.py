@@ -296,6 +296,5 @@ def _soil_events(run: Run) -> list[Event]:
         return []
     events = Events()
     for k, at_s in enumerate(numbers.times.tolist()):
-        classes = {name: float(p[k]) for name, p in numbers.classes.items() if np.isfinite(p[k])}
-        events.add_soil_change(classes, at_s, 1e3 * at_s)
+        events.add_soil_change(numbers.classes_at(k), at_s, 1e3 * at_s)
     return list(events.recent)
