@@ -26,13 +26,7 @@ _REFERENCE = "reference_pose"  # in imported logs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add(
-        "bags",
-        metavar="BAG",
-        type=Path,
-        nargs="+",
-        help="of the same machine; on the same ground for κ and i₀",
-    )
+    shared_options.add_bags(parser, "of the same machine; on the same ground for κ and i₀")
     shared_options.add_params(parser, "the first bag's")
     shared_options.add_vehicle(parser, "the first bag's")
     shared_options.add_namespace(parser)
