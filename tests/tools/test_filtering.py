@@ -11,7 +11,7 @@ from fixtures.arrival_rows import rows_of
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
 from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.measurements import PoseFix, Sprockets, YawRate
-from trackslip_tools.replay.filtering import ArrivalFilter
+from trackslip_tools.replay.filtering import ArrivalFilter, Withholding
 
 MS = 1_000_000
 ORIGIN_NS = 10**15
@@ -27,7 +27,11 @@ def fixes(count: int, period_ms: float, source: str = "box_pose", latency_ms: in
 
 
 def apply(filters: InputFilters, arrivals: Rows) -> Rows:
-    return ArrivalFilter(filters, SOURCES, ORIGIN_NS)(arrivals)
+    return arrival_filter(filters)(arrivals)
+
+
+def arrival_filter(filters: InputFilters) -> ArrivalFilter:
+    return ArrivalFilter(filters, SOURCES, Withholding(filters, ORIGIN_NS))
 
 
 def logged(arrivals: Rows) -> list[float]:
@@ -127,6 +131,6 @@ def test_batches_are_filtered_as_the_whole_is() -> None:
     both = both[np.argsort(both["log_time_ns"], kind="stable")]
     thin = (Thin("box_pose", 3.0, 0.1), Thin("gnss", 1.0))
     filters = InputFilters(thin=thin, withhold=(Withhold("gnss", 3.0, 9.0),))
-    in_batches = ArrivalFilter(filters, SOURCES, ORIGIN_NS)
+    in_batches = arrival_filter(filters)
     filtered = np.concatenate([in_batches(batch) for batch in np.array_split(both, 17)])
     np.testing.assert_array_equal(filtered, apply(filters, both))

@@ -46,13 +46,11 @@ def replay(
     reference = reference or default_reference(bag)
     topics = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if soil_p is not None else ()))
     stream = InputStream(bag, p, filters, scored_topics(reference).union(topics))
-    withheld = WithheldErrors(filters, bag.start_ns)
-    collector = Collector(
-        stream, reference, p.vehicle.kinematics, withheld, compares=not filters.changes_inputs
-    )
-    soil = (
-        SoilRun(bag.start_ns, filters, soil_p) if soil_p is not None and HYDRAULICS in stream.topics else None
-    )
+    withheld, compares = WithheldErrors(filters, bag.start_ns), not filters.changes_inputs
+    collector = Collector(stream, reference, p.vehicle.kinematics, withheld, compares=compares)
+    soil = None
+    if soil_p is not None and HYDRAULICS in stream.topics:
+        soil = SoilRun(soil_p, stream.withholding, compares=compares)
     learned, start = learned_before_bag(bag, p)
     setup = SetupCollector(p)
     for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
@@ -66,8 +64,7 @@ def replay(
     result.no_estimate = explain_missing_estimate(bag, p, filters, collector.processed)
     result.start = start
     result.setup = check_collected(setup)
-    hidden_hydraulics = soil.hidden if soil is not None else [0] * len(stream.hidden)
-    result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, hidden_hydraulics, strict=True)])
+    result.withheld = withheld.result(stream.withholding.counts)
     if soil is not None and stream.messages[HYDRAULICS]:
         result.soil = soil.result(stream.counts.comparable)
     result.vehicle = p.vehicle.name

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
 from trackslip_bags.tables import TopicTable
 from trackslip_common.arrays import FloatArray, IntArray, Rows
@@ -28,6 +27,7 @@ from trackslip_estimation.soil.records import (
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.comparable import Comparability
+from trackslip_tools.replay.filtering import Withholding
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import LoggedMessages
 from trackslip_tools.replay.series import Series, SeriesCollector
@@ -75,12 +75,10 @@ class SoilReplay:
 
 
 class SoilRun:
-    """Soil estimator over the estimates of a replay, in pieces; ``start_ns``: first log time of the bag."""
+    """Soil estimator over a replay, in pieces; ``compares``: whether outputs are compared with live ones."""
 
-    def __init__(self, start_ns: int, filters: InputFilters, p: SoilEstimatorParameters) -> None:
-        self._start_ns, self._filters = start_ns, filters
-        self._estimator = SoilEstimator(p)
-        self.hidden = [0] * len(filters.withhold)  # withheld readings, by filter
+    def __init__(self, p: SoilEstimatorParameters, withholding: Withholding, *, compares: bool) -> None:
+        self._estimator, self._withholding, self._compares = SoilEstimator(p), withholding, compares
         self._waiting, self._logged_ns = np.empty(0, SOIL_INPUT), np.empty(0, np.int64)  # readings
         self._published_ns = 0  # largest log time of an estimate so far
         self._forces = GrowingRows(FORCES_RECORD)
@@ -116,19 +114,13 @@ class SoilRun:
             self._classes,
         )
         can_compare, until_ns = comparability.comparable_start()
-        if result.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs and can_compare:
+        if self._compares and result.series.keys() & {FORCES, SOIL} and can_compare:
             result.live = _compare_with_live(result, _END_NS if until_ns is None else until_ns)
         return result
 
     def _queue_readings(self, logged: LoggedMessages) -> None:
         """Queue the readings of hydraulics that are not withheld."""
-        t = np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)
-        is_hidden = np.zeros(len(logged.rows), np.bool_)
-        for k, withhold in enumerate(self._filters.withhold):
-            if withhold.topic == HYDRAULICS:
-                is_withheld = withhold.covers(t)
-                self.hidden[k] += int(is_withheld.sum())
-                is_hidden |= is_withheld
+        is_hidden = self._withholding.hides(HYDRAULICS, logged.log_times_ns)
         self._waiting = np.concatenate((self._waiting, _reading_inputs(logged.rows[~is_hidden])))
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~is_hidden]))
 
