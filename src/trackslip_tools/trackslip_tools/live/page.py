@@ -96,10 +96,8 @@ def _strip_plot(panel: Panel, number: int, first: int) -> figure:
     plot.min_border_left = _STRIP_BORDER
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
     plot.title.text = panel.title.partition(":")[0]
-    plot.xaxis.ticker, plot.xaxis.formatter = (
-        DatetimeTicker(desired_num_ticks=4),
-        DatetimeTickFormatter(**_CLOCK),
-    )
+    plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=4)
+    plot.xaxis.formatter = DatetimeTickFormatter(**_CLOCK)
     sources = {renderer.name: renderer.data_source for renderer in plot.renderers}
     for k, curve in enumerate(panel.curves):
         sources[curve.label].name = f"line-{first + k}"

@@ -86,9 +86,8 @@ class PathErrors:
         if rows is None:
             return
         R = rows["covariance"] if "covariance" in (rows.dtype.names or ()) else None
-        reference_path = Path(
-            rows["stamp_ns"], np.column_stack([rows[name] for name in ("x", "y", "heading")]), R
-        )
+        poses = np.column_stack([rows[name] for name in ("x", "y", "heading")])
+        reference_path = Path(rows["stamp_ns"], poses, R)
         errors = errors_of(path, reference_path)
         self._count += len(errors)
         if len(errors):
@@ -98,10 +97,8 @@ class PathErrors:
         self._with_heading += int(has_heading.sum())
         self._heading += float(np.sum(errors[has_heading, 2] ** 2))
         if covariances is not None:
-            pose, position = (
-                nees_of_each(path, P, reference_path)[0],
-                nees_of_each(path, P, reference_path, 2)[0],
-            )
+            pose, _ = nees_of_each(path, P, reference_path)
+            position, _ = nees_of_each(path, P, reference_path, 2)
             has_nees, has_position_nees = has_heading & np.isfinite(pose), np.isfinite(position)
             self._nees += float(np.sum(pose[has_nees]))
             self._nees_position += float(np.sum(position[has_position_nees]))
@@ -150,10 +147,9 @@ class SlipErrors:
         estimates = sort_by_stamp(estimates)
         if self._recent is not None and self._recent["stamp_ns"][-1] < estimates["stamp_ns"][0]:
             estimates = np.concatenate((self._recent, estimates))
-        self._recent = estimates[
-            np.searchsorted(estimates["stamp_ns"], estimates["stamp_ns"][-1] - _RECENT_NS) :
-        ]
-        until_ns = min(int(estimates["stamp_ns"][-1]), self._slips.last_ns, self._odometry.last_ns)
+        last_ns = int(estimates["stamp_ns"][-1])
+        self._recent = estimates[np.searchsorted(estimates["stamp_ns"], last_ns - _RECENT_NS) :]
+        until_ns = min(last_ns, self._slips.last_ns, self._odometry.last_ns)
         true_slips, true_odometry = self._slips.pop_until(until_ns), self._odometry.pop_until(until_ns)
         if true_slips is None or true_odometry is None:
             return

@@ -75,11 +75,7 @@ class LiveOrder:
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
         self._recent = np.empty(0, LINE)  # recent lines, with which new ones are compared to find copies
         self._numbered = False  # whether lines have numbers
-        self._last_sequence, self._last_line_ns = (
-            _NO_LINE,
-            0,
-        )  # number and log time of the last processed line
-        self._part = 0  # part of the last processed line
+        self._last_sequence, self._last_line_ns, self._part = _NO_LINE, 0, 0  # of the last processed line
 
     def push(self, rows: Rows, lines: Rows, until_ns: int) -> Rows:
         """Arrivals that are now in live order, after adding arrivals and lines logged before ``until_ns``."""
@@ -137,10 +133,8 @@ class LiveOrder:
         missing &= lines["source"] >= 0  # source −1: no input under the parameters of the replay
         parts = self._runs.assign_parts(lines, missing, lost, {start.line: start.unknown for start in starts})
         if len(lines):
-            self._last_sequence, self._last_line_ns = (
-                int(lines["sequence"][-1]),
-                int(lines["log_time_ns"][-1]),
-            )
+            self._last_sequence = int(lines["sequence"][-1])
+            self._last_line_ns = int(lines["log_time_ns"][-1])
         merged = np.flatnonzero(is_free & self._is_due_by_log_time(rows, limit_ns))
         before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][merged])  # the line they precede
         processed = np.flatnonzero((named >= 0) | is_command)

@@ -117,13 +117,10 @@ def _process(
         begin = end
         if estimator.started and end > 0:
             explanations.append(estimator.competing_explanations)
-        if estimator.started and end > 0 and (end in pieces or end in commands):
-            learned.append(
-                LearnedValues(
-                    estimator.newest_ns or 0, learned_quantities(estimator.learned, estimator.learned_context)
-                )
-            )
-            estimator.read_events()  # before the branch discards them
+            if end in pieces or end in commands:
+                findings = learned_quantities(estimator.learned, estimator.learned_context)
+                learned.append(LearnedValues(estimator.newest_ns or 0, findings))
+                estimator.read_events()  # before the branch discards them
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD
             command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))

@@ -102,10 +102,8 @@ class Collector:
         self._stream, self._reference = stream, reference
         self.withheld = withheld
         self._scored = scored_topics(reference)
-        self._estimates, self._series = (
-            GrowingRows(KEPT_ESTIMATE, MOST_DRAWN),
-            SeriesCollector(most=MOST_DRAWN),
-        )
+        self._estimates = GrowingRows(KEPT_ESTIMATE, MOST_DRAWN)
+        self._series = SeriesCollector(most=MOST_DRAWN)
         self._last, self._rejected = np.empty(0, KEPT_ESTIMATE), stream.rejected
         self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
         self._swing = SwingErrors()

@@ -173,16 +173,14 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
         unmatched += len(live_rows) + len(replayed_rows) - 2 * len(in_replayed)
         compared += len(live_rows)
         for name in replayed.dtype.names or ():
-            largest = max(
-                largest, _relative_difference(live_rows[name][in_live], replayed_rows[name][in_replayed])
-            )
+            difference = _relative_difference(live_rows[name][in_live], replayed_rows[name][in_replayed])
+            largest = max(largest, difference)
     replayed_classes = {
         s.stamp_ns: np.array(list(s.classes.values())) for s in result.states if s.stamp_ns <= until_ns
     }
     for stamp_ns in replayed_classes.keys() & result.live_classes.keys():
-        largest = max(
-            largest, _relative_difference(result.live_classes[stamp_ns], replayed_classes[stamp_ns])
-        )
+        difference = _relative_difference(result.live_classes[stamp_ns], replayed_classes[stamp_ns])
+        largest = max(largest, difference)
     return SoilComparison(compared, unmatched, largest)
 
 
