@@ -43,9 +43,8 @@ class Snapshot:
     def get(self, topic: str, now_s: float) -> Any | None:
         """The record of a topic; None if missing or too old."""
         record, at_s = self._records.get(topic, (None, -np.inf))
-        return (
-            record if self.keeps_last or now_s - at_s <= _MAX_AGE_OF_TOPIC_S.get(topic, _MAX_AGE_S) else None
-        )
+        is_fresh = now_s - at_s <= _MAX_AGE_OF_TOPIC_S.get(topic, _MAX_AGE_S)
+        return record if is_fresh or self.keeps_last else None
 
     def columns(self, now_s: float) -> dict[str, Columns]:
         """Topic (or ``MOTION``) → columns for the panels, of fresh records."""

@@ -20,7 +20,7 @@ from trackslip_tools.report.headline import facts_of
 from trackslip_tools.report.innovations import innovation_panels
 from trackslip_tools.report.learned_panels import learned_panels, learned_rows
 from trackslip_tools.report.motion_panels import error_panels, motion_panels
-from trackslip_tools.report.panel import DARK, GREY
+from trackslip_tools.report.panel import COLOURS, DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
 from trackslip_tools.report.plots import strip_plot, time_plot, time_range
 from trackslip_tools.report.run import Run, align_runs, first_runs_of_bags
@@ -109,7 +109,7 @@ def _template_variables(
     events = [events_of(run) for run in runs]
     heads = [facts_of(*of) for of in zip(runs, repeat(limits), checks, events)]
     return {
-        "runs": run_facts(runs),
+        "runs": [run_facts(run, colour) for run, colour in zip(runs, COLOURS, strict=False)],
         "facts": [*zip(*heads, strict=True)],
         "events": [(run.label, event_rows(of_run)) for run, of_run in zip(runs, events, strict=True)],
         "is_aligned": len(first_runs_of_bags(runs)) > 1,

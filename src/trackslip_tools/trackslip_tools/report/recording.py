@@ -201,11 +201,8 @@ def _scan_points(scan: Any, laser_yaw: float) -> FloatArray:
     ranges = np.asarray(scan.ranges[:_MOST_RANGES], dtype=np.float64)
     with np.errstate(invalid="ignore"):
         angles = laser_yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    is_valid = (
-        (ranges > scan.range_min)
-        & (ranges < min(scan.range_max, _MAX_RANGE))
-        & (np.abs(angles) < _MOST_TURNS)
-    )
+    is_valid = (ranges > scan.range_min) & (ranges < min(scan.range_max, _MAX_RANGE))
+    is_valid &= np.abs(angles) < _MOST_TURNS
     angles, ranges = angles[is_valid], ranges[is_valid]
     return np.asarray(ranges[:, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
 
