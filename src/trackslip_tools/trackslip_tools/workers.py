@@ -117,11 +117,9 @@ def _process_environment() -> Iterator[None]:
     """
     resource_tracker.ensure_running()  # starting it later would unblock the signal
     pressed: list[int] = []
-    handler = (
-        signal(SIGINT, lambda number, _: pressed.append(number))
-        if current_thread() is main_thread()
-        else None
-    )
+    handler = None
+    if current_thread() is main_thread():
+        handler = signal(SIGINT, lambda number, _: pressed.append(number))
     mask = pthread_sigmask(SIG_BLOCK, {SIGINT})
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)

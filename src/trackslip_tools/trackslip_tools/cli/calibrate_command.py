@@ -78,9 +78,8 @@ def run(args: argparse.Namespace) -> int:
         show(f"nothing new: {args.output} is not written")
     if args.json is not None:
         write_json(args.json, summary(result, names))
-    return (
-        ExitCode.DONE if any(finding.has_value for finding in result.findings.values()) else ExitCode.FAILED
-    )
+    has_values = any(finding.has_value for finding in result.findings.values())
+    return ExitCode.DONE if has_values else ExitCode.FAILED
 
 
 def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:

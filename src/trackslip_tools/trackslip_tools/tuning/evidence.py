@@ -36,9 +36,8 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
         InputError: the folder cannot be written.
     """
     values = to_flat(change_parameters(p, tuning.values))
-    tuned_values = {
-        full_name: values[full_name] for name in tuning.values for full_name in matching_names(p, name)
-    }
+    names = [full_name for name in tuning.values for full_name in matching_names(p, name)]
+    tuned_values = {name: values[name] for name in names}
     text = f"{FILE_PREFIXES[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(tuned_values)}}, sort_keys=False)
     make_folder("output", folder)
@@ -65,18 +64,11 @@ def numbers(tuning: Tuning) -> dict[str, Any]:
 
 def table(tuning: Tuning) -> str:
     """Markdown tables: the values, then the scores of each bag before, after and when left out."""
-    ranges = {
-        name: [fold.values[name] for fold in tuning.folds] or [value] for name, value in tuning.values.items()
-    }
-    values = [
-        [
-            name,
-            f"{tuning.values_before[name]:.4g}",
-            f"{value:.4g}",
-            f"{min(ranges[name]):.4g} to {max(ranges[name]):.4g}" if tuning.folds else "",
-        ]
-        for name, value in tuning.values.items()
-    ]
+    values = []
+    for name, value in tuning.values.items():
+        left_out = [fold.values[name] for fold in tuning.folds]
+        range_ = f"{min(left_out):.4g} to {max(left_out):.4g}" if left_out else ""
+        values.append([name, f"{tuning.values_before[name]:.4g}", f"{value:.4g}", range_])
     sources = sorted({source for score in tuning.before for source in score.nis})
     rows = []
     unseen = {fold.bag: fold.score for fold in tuning.folds}
@@ -95,14 +87,8 @@ def table(tuning: Tuning) -> str:
     bags = "Bags that were left out" if tuning.folds else "Bags"
     negation = "" if tuning.improves_unseen else "not "
     notes += f"\n\n{bags} are {negation}better off on average."
-    parts = (
-        *markdown_table(["parameter", "before", "after", "without one bag"], values, 1),
-        "",
-        *markdown_table(heading, rows, 2),
-        "",
-        notes,
-    )
-    return "\n".join(parts)
+    first = markdown_table(["parameter", "before", "after", "without one bag"], values, 1)
+    return "\n".join([*first, "", *markdown_table(heading, rows, 2), "", notes])
 
 
 def _score_cells(score: Score, sources: Sequence[str]) -> list[str]:
