@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.records import assert_same_bits
 from fixtures.whole_inputs import read_inputs
-from numpy.typing import NDArray
 
 from trackslip_bags import chunks
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
@@ -54,13 +54,6 @@ def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
             assert batch.tables["truth/odometry"].rows.dtype == dtype_of(OdometryFields)
 
 
-def same_rows(rows: NDArray[np.void], expected: NDArray[np.void]) -> None:
-    """Assert equality field by field, with NaN equal to NaN."""
-    assert rows.dtype == expected.dtype
-    for name in rows.dtype.names or ():
-        np.testing.assert_array_equal(rows[name], expected[name], err_msg=name)
-
-
 @pytest.mark.parametrize("filters", [InputFilters(), FILTERS])
 @pytest.mark.parametrize("seconds", [0.7, 1000.0])
 def test_the_length_of_the_batches_changes_nothing(
@@ -71,7 +64,7 @@ def test_the_length_of_the_batches_changes_nothing(
         monkeypatch.setattr(chunks, "STRETCH_NS", round(seconds * 1e9))
         inputs = read_inputs(bag, P, filters, ("truth/odometry",))
     assert len(inputs.rows) > 1000
-    same_rows(inputs.rows, expected.rows)
+    assert_same_bits(inputs.rows, expected.rows)
     series = "truth/odometry"
     np.testing.assert_array_equal(inputs.series[series].rows, expected.series[series].rows)
     assert (inputs.messages, inputs.duration_s) == (expected.messages, expected.duration_s)
@@ -122,7 +115,7 @@ def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path:
     lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
     with open_bag(journaled(tmp_path / "bag", emulated_bag, lines)) as bag:
         reordered = read_inputs(bag, P, InputFilters(), ())
-    same_rows(np.delete(reordered.rows, 2000), np.delete(live, 2000))
+    assert_same_bits(np.delete(reordered.rows, 2000), np.delete(live, 2000))
     assert reordered.counts.lines == len(lines)
     assert (reordered.counts.lost_lines, reordered.counts.lost_inputs) == (0, 0)
     command = reordered.rows[2000]

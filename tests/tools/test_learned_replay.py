@@ -133,5 +133,4 @@ def test_report_shows_learned_states_over_time(emulated_run: Run) -> None:
     width = curve.band[1] - curve.band[0]
     assert width[-1] < width[0] / 2.0
     assert np.all(np.diff(curve.times) > 0.0)
-    (course,) = panels["turning efficiency κ"].curves
-    assert len(course.times) == len(emulated_run.replay.learned)
+    assert len(curve.times) == len(emulated_run.replay.learned)
