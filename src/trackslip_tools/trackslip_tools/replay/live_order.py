@@ -126,7 +126,7 @@ class LiveOrder:
         self.counts.disordered_lines += int((lost < 0).sum())
         is_free = ~_repeats_parameters(rows)
         is_free[[start.row for start in starts if start.row >= 0]] = False
-        named = _match_free_rows(rows, lines, is_free)
+        named = _match_rows(rows, lines, np.flatnonzero(is_free))
         is_command = np.isin(lines["source"], self._commands)
         missing = (named < 0) & ~is_command
         self.counts.lost_inputs += int(missing.sum())
@@ -250,36 +250,29 @@ def _processed_rows(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     return processed
 
 
-def _match_free_rows(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
-    """(n,) row that each line names, among the free ones; −1: none.
+def _match_rows(rows: Rows, lines: Rows, free: IntArray) -> IntArray:
+    """(n,) row that each line names, among those whose numbers are ``free`` (k,); −1: none.
 
     Among rows and lines of one source and stamp, the first line names the first row, and so on. The line of a
     manual pose without a stamp has the stamp at which the pose was used.
     """
-    if is_free.all():
-        return _match_rows(rows, lines)
-    numbers = np.flatnonzero(is_free)
-    matches = _match_rows(rows[numbers], lines)
-    return np.where(matches >= 0, np.append(numbers, -1)[matches], -1)
-
-
-def _match_rows(rows: Rows, lines: Rows) -> IntArray:
-    sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
+    keys = {name: rows[name][free] for name in ("source", "stamp_ns")}
+    sources, stamps_ns = (np.concatenate((column, lines[name])) for name, column in keys.items())
     order = np.lexsort((stamps_ns, sources))  # by key; within a key: rows, then lines, both in order
     sources, stamps_ns = sources[order], stamps_ns[order]
     begins = np.ones(order.size, np.bool_)
     begins[1:] = (np.diff(sources) != 0) | (np.diff(stamps_ns) != 0)
     key, first = np.cumsum(begins) - 1, np.flatnonzero(begins)
-    is_line = order >= len(rows)
+    is_line = order >= free.size
     count = np.bincount(key[~is_line], minlength=first.size)  # rows of each key
     at = np.flatnonzero(is_line)
     number = at - first[key[at]] - count[key[at]]  # number of the line within its key
     matched = number < count[key[at]]
     matches = np.full(len(lines), -1)
-    matches[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]
-    unstamped = np.setdiff1d(np.flatnonzero(rows["stamp_ns"] == 0), matches)
-    for source in np.unique(rows["source"][unstamped]):
-        unmatched = unstamped[rows["source"][unstamped] == source]
+    matches[order[at[matched]] - free.size] = order[first[key[at[matched]]] + number[matched]]
+    unstamped = np.setdiff1d(np.flatnonzero(keys["stamp_ns"] == 0), matches)
+    for source in np.unique(keys["source"][unstamped]):
+        unmatched = unstamped[keys["source"][unstamped] == source]
         unnamed = np.flatnonzero((matches < 0) & (lines["source"] == source))[: unmatched.size]
         matches[unnamed] = unmatched[: unnamed.size]
-    return matches
+    return np.append(free, -1)[matches]

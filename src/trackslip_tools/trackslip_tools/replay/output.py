@@ -157,7 +157,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "nees": result.nees,
         "nees_position": result.nees_position,
         "withheld": [withheld.as_dict() for withheld in result.withheld],
-        "learned": to_json(result.learned[-1].findings) if result.learned else None,
+        "learned": to_json(result.findings) if result.learned else None,
         "explanations": [
             {
                 "t": (h.stamp_ns - result.start_ns) * 1e-9,
@@ -224,7 +224,7 @@ def _event_lines(result: Replay) -> list[str]:
 
 def _learned_lines(result: Replay) -> list[str]:
     """One line for each observed quantity, and one for all others."""
-    lines = quantity_lines(result.learned[-1].findings) if result.learned else []
+    lines = quantity_lines(result.findings)
     return ["learned values of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 

@@ -22,6 +22,7 @@ from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.attitude.records import AttitudeRejection
 from trackslip_estimation.setup_check.finding import Result as Setup
 from trackslip_estimation.slip.explanations import AcceptedEvent
+from trackslip_estimation.slip.learned_text import LearnedQuantity
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
@@ -81,6 +82,11 @@ class Replay:
     start: str = ""  # line on what was learned before the bag; empty: nothing
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
     setup: Setup = field(default_factory=Setup)  # result of the setup check
+
+    @property
+    def findings(self) -> list[LearnedQuantity]:
+        """Learned quantities at the end; empty without an estimate."""
+        return self.learned[-1].findings if self.learned else []
 
     def has_failed(self, *, force: bool) -> bool:
         """Whether there is no estimate, or one from a wrong setup that ``force`` does not accept."""

@@ -10,18 +10,17 @@ import time
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_learned
 from trackslip_bags.reader import Bag
-from trackslip_common.errors import InputError
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY
 from trackslip_estimation.setup_check.collect import Collector as SetupCollector
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, from_tree, learned_context
+from trackslip_estimation.slip.learned import Learned
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.check.bag import check_collected
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import explain_missing_estimate
-from trackslip_tools.replay.parts import Watch, run_estimator
+from trackslip_tools.replay.parts import Watch, run_estimator, usable_learned
 from trackslip_tools.replay.result import Collector, Replay, scored_topics
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilRun
 from trackslip_tools.replay.withheld import WithheldErrors
@@ -83,10 +82,4 @@ def learned_before_bag(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | 
     Raises:
         InputError: the topic of the parameters holds something else.
     """
-    tree = bag_learned(bag)
-    if tree is None:
-        return None, ""
-    try:
-        return from_tree(tree, learned_context(p)), "starts from values learned before the bag begins"
-    except InputError as error:
-        return None, f"learned values from before the bag are not used: {error}"
+    return usable_learned(bag_learned(bag), p)
