@@ -35,7 +35,7 @@ from trackslip_tools.replay.comparison import (
     tilt_rows,
 )
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.errors import PathErrors, SlipErrors
+from trackslip_tools.replay.errors import PathErrors, SlipErrors, SwingErrors, TiltErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import ProcessingCounts
@@ -45,7 +45,6 @@ from trackslip_tools.replay.scoring import Score, path_of, path_of_series
 from trackslip_tools.replay.series import Series, SeriesCollector, reduce_columns, sort_by_stamp
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.stuck_tracks import FixGaps
-from trackslip_tools.replay.tilt import SwingErrors, TiltErrors
 from trackslip_tools.replay.withheld import WithheldErrors, WithholdResult
 
 KEPT_ESTIMATE = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)

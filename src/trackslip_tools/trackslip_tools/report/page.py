@@ -84,15 +84,13 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
 def _link_cursor(time_plots: Sequence[figure], path: PathPlot) -> None:
     """Link one cursor across all plots over time with the machine's marker on the path."""
     spans = [Span(dimension="height", line_color=GREY, visible=False) for _ in time_plots]
-    tracks = {
-        "paths": [track.path for track in path.tracks],
-        "markers": [track.marker for track in path.tracks],
-    }
-    code = _template_text("cursor.js")
+    paths, markers = [track.path for track in path.tracks], [track.marker for track in path.tracks]
+    shared = {"spans": spans, "paths": paths, "markers": markers}
+    code = resources.files(__package__).joinpath("templates", "cursor.js").read_text(encoding="utf-8")
     for plot, span in zip(time_plots, spans, strict=True):
         plot.add_layout(span)
-        _add_pointer_callback(plot, CustomJS(args={"spans": spans, "on_path": False, **tracks}, code=code))
-    _add_pointer_callback(path.plot, CustomJS(args={"spans": spans, "on_path": True, **tracks}, code=code))
+        _add_pointer_callback(plot, CustomJS(args={"on_path": False, **shared}, code=code))
+    _add_pointer_callback(path.plot, CustomJS(args={"on_path": True, **shared}, code=code))
 
 
 def _add_pointer_callback(plot: figure, callback: CustomJS) -> None:
@@ -122,7 +120,3 @@ def _template_variables(
         "parameters": parameters,
         "dark": DARK,
     }
-
-
-def _template_text(name: str) -> str:
-    return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")

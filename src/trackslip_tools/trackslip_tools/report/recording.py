@@ -143,7 +143,8 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
             elif name == SCAN and table.type_name == TOPICS[SCAN].type_name:
                 scans.add(table)
             elif name == DIAGNOSTICS and table.type_name == TOPICS[DIAGNOSTICS].type_name:
-                _add_lights(lights, table, bag.start_ns)
+                for k, now_s in enumerate(_seconds(table.log_times_ns, bag.start_ns).tolist()):
+                    lights.add(table.message(k), now_s)
     none = [np.empty(0, np.int64)]
     times = {name: np.concatenate(none + logged.pop(name)) for name in sorted(logged)}
     laser, points = scans.view()
@@ -162,11 +163,6 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
         lights=lights.intervals(stop_s),
         events=lights.events,
     )
-
-
-def _add_lights(lights: LightLog, table: TopicTable, start_ns: int) -> None:
-    for k, now_s in enumerate(_seconds(table.log_times_ns, start_ns).tolist()):
-        lights.add(table.message(k), now_s)
 
 
 class _Scans:
