@@ -300,6 +300,12 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     assert summary(calibration, ["one"])["findings"]["tread"]["value"] is None
 
 
+def test_name_of_a_bag_with_a_line_break_stays_in_the_comment_of_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    write_parameters(path, calibrated(Drive(), 7), ["one\nslip_estimator: 3"])
+    assert node_parameters(read_yaml(path), NODE, str(path))
+
+
 def test_a_scaled_gyro_is_read_in_true_units() -> None:
     estimator = SlipEstimator(
         load_slip_parameters({"sources.imu_data_raw.sign": -1, "sources.imu_data_raw.scale": 0.5})

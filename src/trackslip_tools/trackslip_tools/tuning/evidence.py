@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from trackslip_common.config_files import unflatten
+from trackslip_common.errors import printable
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.cli.outputs import make_folder, write_file
@@ -38,7 +39,8 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     values = to_flat(change_parameters(p, tuning.values))
     names = [full_name for name in tuning.values for full_name in matching_names(p, name)]
     tuned_values = {name: values[name] for name in names}
-    text = f"{FILE_PREFIXES[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
+    bags = ", ".join(printable(bag, len(bag)) for bag in tuning.bags)
+    text = f"{FILE_PREFIXES[PARAMETERS]} on {bags}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(tuned_values)}}, sort_keys=False)
     make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
