@@ -147,7 +147,7 @@ class LiveOrder:
         ordered["part"], self._part = numbers[places], int(numbers[-1])
         is_waiting = is_free.copy()
         is_waiting[merged] = is_waiting[named[named >= 0]] = False
-        is_waiting |= _repeats_parameters(rows) & (rows["log_time_ns"] > self._last_line_ns)
+        is_waiting |= _repeats_parameters(rows) & self._may_begin_run(rows)
         self._rows = rows[is_waiting & ~self._is_too_old(rows, limit_ns)]
         self._lines = self._lines[~is_due]
         return ordered[order]
@@ -183,21 +183,18 @@ class LiveOrder:
         return int(later[0]) if later.size and not is_first else -1
 
     def _is_due_by_log_time(self, rows: Rows, limit_ns: int) -> BoolArray:
-        """(n,) whether a row of a source without journal lines is due for merging by log time.
-
-        Parameters may belong to a run whose first line is still to come.
-        """
-        is_due = (
-            (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._last_line_ns) | (limit_ns == _END_NS)
-        )
-        is_unknown = ~np.isin(rows["source"], self._journaled)
-        return np.asarray(is_unknown & (rows["log_time_ns"] < limit_ns) & is_due)
+        """(n,) whether a row of a source without journal lines is due for merging by log time."""
+        is_due = ~np.isin(rows["source"], self._journaled) & (rows["log_time_ns"] < limit_ns)
+        return np.asarray(is_due if limit_ns == _END_NS else is_due & ~self._may_begin_run(rows))
 
     def _is_too_old(self, rows: Rows, limit_ns: int) -> BoolArray:
         """(n,) whether a row is too old to be named by any later line."""
         oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
-        may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._last_line_ns)
-        return np.asarray((rows["log_time_ns"] < oldest_ns) & ~may_begin)
+        return np.asarray((rows["log_time_ns"] < oldest_ns) & ~self._may_begin_run(rows))
+
+    def _may_begin_run(self, rows: Rows) -> BoolArray:
+        """(n,) whether a row holds parameters of a run whose first line may still come."""
+        return np.asarray((rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._last_line_ns))
 
 
 class _Start(NamedTuple):
