@@ -87,9 +87,7 @@ def test_a_missing_bag_is_refused(tmp_path: Path, refuse: Refuse, command: str) 
     assert "nowhere' not found" in refuse(command, tmp_path / "nowhere")
 
 
-def test_a_bag_without_sprockets_is_refused(
-    tmp_path: Path, lines: list[Any], bag_of: BagOf, refuse: Refuse
-) -> None:
+def test_a_bag_without_sprockets_is_refused(lines: list[Any], bag_of: BagOf, refuse: Refuse) -> None:
     path = bag_of([line for line in lines if line.topic != "sprockets"])
     error = refuse("replay", path)
     assert "no messages on /sprockets; it holds: /box_pose, /imu/data_raw, /reference_pose" in error
@@ -99,7 +97,7 @@ def test_a_bag_without_sprockets_is_refused(
     "topic", ["sprockets", "imu/data_raw", "box_pose", "measurement_reports", "odometry"]
 )
 def test_a_topic_of_another_type_is_refused(
-    tmp_path: Path, lines: list[Any], bag_of: BagOf, refuse: Refuse, topic: str
+    lines: list[Any], bag_of: BagOf, refuse: Refuse, topic: str
 ) -> None:
     text = "std_msgs/msg/String"
     others = [line for line in lines if line.topic != topic]

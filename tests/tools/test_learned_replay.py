@@ -74,7 +74,6 @@ def test_replay_without_an_estimate_has_no_learned_states(bag: Path, summary: Su
 def test_replay_starts_from_the_learned_states_of_the_live_estimator(
     second_run: Callable[..., Path],
     bag: Path,
-    tmp_path: Path,
     summary: Summary,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
