@@ -75,7 +75,7 @@ def test_slips_are_drawn_beside_the_truth_while_moving(run: Run) -> None:
     assert estimate.band is not None
     low, high = estimate.band
     np.testing.assert_allclose((low + high)[later], 2.0 * estimate.values[later])
-    sigmas = np.sqrt(run.states.slip_covariances[later, 1, 1])
+    sigmas = np.sqrt(run.states.rows["slip_covariance"][later, 1, 1])
     np.testing.assert_allclose((high - low)[later], 100.0 * 4.0 * sigmas)
 
 
@@ -95,7 +95,7 @@ def test_ellipses_are_at_two_standard_deviations(run: Run) -> None:
     assert run.states is not None
     outlines = ellipses(run.states)
     last = outlines[-1] - run.states.path.poses[-1, :2]
-    covariance = run.states.pose_covariances[-1, :2, :2]
+    covariance = run.states.rows["pose_covariance"][-1, :2, :2]
     distances = np.sqrt(np.einsum("ki,ij,kj->k", last, np.linalg.inv(covariance), last))
     np.testing.assert_allclose(distances, 2.0)
 

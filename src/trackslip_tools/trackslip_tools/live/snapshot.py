@@ -62,12 +62,12 @@ class Snapshot:
         if odometry is None:
             return None
         columns = {
-            "twists": np.array((odometry.v_x, odometry.v_y, odometry.yaw_rate)),
-            "twist_covariances": odometry.twist_covariance,
+            "twist": np.array((odometry.v_x, odometry.v_y, odometry.yaw_rate)),
+            "twist_covariance": odometry.twist_covariance,
             "slips": np.full(3, np.nan),
-            "slip_covariances": np.full((3, 3), np.nan),
+            "slip_covariance": np.full((3, 3), np.nan),
         }
         if slip is not None and slip.motion_state != STANDING:
             columns["slips"] = np.array((slip.left_slip, slip.right_slip, slip.slip_angle))
-            columns["slip_covariances"] = slip.covariance
+            columns["slip_covariance"] = slip.covariance
         return columns

@@ -46,8 +46,8 @@ def travel_of(run: Run) -> Travel:
     states = run.states
     dt = np.diff(states.path.stamps_ns) * 1e-9
     dt[dt > _GAP_S] = 0.0
-    speeds = np.hypot(states.twists[:-1, 0], states.twists[:-1, 1])
-    seconds = {motion: float(dt[states.motion[:-1] == motion].sum()) for motion in Motion}
+    speeds = np.hypot(*states.rows["twist"][:-1, :2].T)
+    seconds = {motion: float(dt[states.rows["motion"][:-1] == motion].sum()) for motion in Motion}
     return Travel(float((speeds * dt)[states.is_moving[:-1]].sum()), seconds)
 
 
@@ -89,15 +89,14 @@ def _largest_slip_fact(run: Run, limits: VerdictLimits) -> Fact:
     if run.states is None:
         return Fact(name, _NO_VALUE)
     states = run.states
-    sigmas = np.sqrt(np.diagonal(states.slip_covariances, axis1=1, axis2=2)[:, :2])
+    sigmas = np.sqrt(np.diagonal(states.rows["slip_covariance"], axis1=1, axis2=2)[:, :2])
     is_known = states.is_moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
     never_known = f"never known to {PERCENT * limits.slip_stddev:g} %"
     if not is_known.any():
         return Fact(name, _NO_VALUE, never_known)
     times = run.recording.seconds(states.path.stamps_ns)
-    slips = np.column_stack(
-        [persistent_slips(times, np.where(is_known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
-    )
+    known_slips = np.where(is_known, states.rows["slips"][:, :2], np.nan)
+    slips = np.column_stack([persistent_slips(times, of_side) for of_side in known_slips.T])
     if not np.isfinite(slips).any():
         return Fact(name, _NO_VALUE, f"{never_known} for {_LEAST_TIME_S:g} s")
     sizes = np.where(np.isfinite(slips), np.abs(slips), -1.0)

@@ -10,7 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_common.arrays import BoolArray, FloatArray, IntArray, Rows
+from trackslip_common.arrays import BoolArray, Rows
 from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -26,20 +26,15 @@ from trackslip_tools.report.recording import Recording
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """The published estimates as arrays."""
+    """Estimates by stamp, and their path."""
 
-    path: Path  # (n,) stamps and poses
-    pose_covariances: FloatArray  # (n, 3, 3)
-    twists: FloatArray  # (n, 3) v_x m/s, v_y m/s, yaw rate rad/s
-    twist_covariances: FloatArray  # (n, 3, 3)
-    slips: FloatArray  # (n, 3) left, right, slip angle rad
-    slip_covariances: FloatArray  # (n, 3, 3)
-    motion: IntArray  # (n,) value of ``Motion``
+    rows: Rows  # (n,) ESTIMATE
+    path: Path  # (n,) stamps and poses, with continuous heading
 
     @property
     def is_moving(self) -> BoolArray:
         """(n,) whether slips are defined: not at standstill."""
-        return np.asarray(self.motion != Motion.STANDING)
+        return np.asarray(self.rows["motion"] != Motion.STANDING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +53,14 @@ class Run:
     def states(self) -> States | None:
         """States of the filter; None if nothing could start it."""
         estimates = sort_by_stamp(self.details.estimates)
-        return _make_states(estimates) if len(estimates) else None
+        return States(estimates, path_of(estimates)) if len(estimates) else None
 
     @cached_property
     def smoothed_states(self) -> States | None:
         """States of the smoother; None if not requested, or if nothing could start it."""
-        return _make_states(self.smoothed) if self.smoothed is not None and len(self.smoothed) else None
+        if self.smoothed is None or not len(self.smoothed):
+            return None
+        return States(self.smoothed, path_of(self.smoothed))
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
@@ -102,18 +99,6 @@ def _start_of_driving_ns(run: Run) -> int:
     """Stamp of the first estimate that drives; without one, the origin of the recording."""
     if run.states is None:
         return run.recording.zero_ns
-    is_driving = np.isin(run.states.motion, (Motion.STRAIGHT, Motion.TURNING))
+    is_driving = np.isin(run.states.rows["motion"], (Motion.STRAIGHT, Motion.TURNING))
     first = run.states.path.stamps_ns[is_driving][:1]
     return int(first[0]) if len(first) else run.recording.zero_ns
-
-
-def _make_states(estimates: Rows) -> States:
-    return States(
-        path_of(estimates),
-        estimates["pose_covariance"],
-        estimates["twist"],
-        estimates["twist_covariance"],
-        estimates["slips"],
-        estimates["slip_covariance"],
-        estimates["motion"],
-    )

@@ -68,7 +68,8 @@ def motion_intervals(run: Run) -> list[StateInterval]:
     """Intervals of standstill, straight and turning motion: states of ``Motion``."""
     if run.states is None:
         return []
-    return state_intervals(run.recording.seconds(run.states.path.stamps_ns), run.states.motion)
+    rows = run.states.rows
+    return state_intervals(run.recording.seconds(rows["stamp_ns"]), rows["motion"])
 
 
 def stuck_track_intervals(run: Run) -> dict[str, list[StateInterval]]:
