@@ -272,4 +272,4 @@ def _match_rows(rows: Rows, lines: Rows, free: IntArray) -> IntArray:
         unmatched = unstamped[keys["source"][unstamped] == source]
         unnamed = np.flatnonzero((matches < 0) & (lines["source"] == source))[: unmatched.size]
         matches[unnamed] = unmatched[: unnamed.size]
-    return np.append(free, -1)[matches]
+    return np.asarray(np.append(free, -1)[matches])
