@@ -25,8 +25,8 @@ from trackslip_tools.cli.replay_options import parameters_of
 
 Summary = Callable[..., dict[str, Any]]
 
-OUTPUTS = ("odometry", "odometry/local", "track_slip", "machine_state", "measurement_reports")
-OUTPUTS += ("slip_estimator/parameters", "vehicle")
+ESTIMATES = ("odometry", "odometry/local", "track_slip", "machine_state")
+OUTPUTS = (*ESTIMATES, "measurement_reports", "slip_estimator/parameters", "vehicle")
 KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_time_factor"}
 
 
