@@ -43,8 +43,8 @@ parameters:
 """
 
 
-def _table(path: Path, names: str, *columns: Any) -> None:
-    np.savetxt(path, np.column_stack(columns), fmt="%.9g", delimiter=",", header=names, comments="")
+def _table(path: Path, names: str, *columns: Any, form: str = "%.9g") -> None:
+    np.savetxt(path, np.column_stack(columns), fmt=form, delimiter=",", header=names, comments="")
 
 
 def write_csv(folder: Path, log: Log) -> Path:
@@ -80,16 +80,10 @@ def import_drive(folder: Path) -> Path:
 @pytest.mark.parametrize("source", ["tracks", "gnss"])
 def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: str, tmp_path: Path) -> None:
     folder = write_csv(tmp_path, make_drive())
-    table = np.genfromtxt(folder / f"{source}.csv", delimiter=",", names=True)
-    columns = [table[name] for name in table.dtype.names]
-    np.savetxt(
-        folder / f"{source}.csv",
-        np.column_stack((columns[0] + 1.79e9, *columns[1:])),
-        fmt="%.6f",
-        delimiter=",",
-        header=",".join(table.dtype.names),
-        comments="",
-    )
+    file = folder / f"{source}.csv"
+    names, columns = file.read_text().partition("\n")[0], np.loadtxt(file, delimiter=",", skiprows=1)
+    columns[:, 0] += 1.79e9
+    _table(file, names, columns, form="%.6f")
     result = json_of(tmp_path, "check", import_drive(folder), code=ExitCode.FAILED)
     assert "source_delay" in {cause["cause"] for cause in result["causes"]}
     assert any("no time in common" in cause["evidence"] for cause in result["causes"])
@@ -121,10 +115,6 @@ def test_ambiguous_mistake_fails_the_check(tmp_path: Path) -> None:
     assert any("feet" in one["what"] for one in result["undetermined"])
     assert main(["replay", str(bag), "--stop", "60"]) == ExitCode.FAILED
     assert main(["replay", str(bag), "--stop", "60", "--force"]) == ExitCode.DONE
-
-
-def test_a_bag_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
-    assert main(["check", str(tmp_path / "none")]) == ExitCode.BAD_INPUT
 
 
 def test_undetermined_causes_come_with_the_drive_they_need(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 """Refusals of the ``trackslip`` command: exit code 2, and one line that names the mistake."""
 
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -63,20 +64,30 @@ BagOf = Callable[..., Path]
         ("--seed x", "accepted: a whole number >= 0"),
         ("--params no_such.yaml", "file 'no_such.yaml' not found"),
         ("--frequency 3", "unrecognized arguments: --frequency 3"),
+        ("--publish --json out.json", "--json: accepted not together with --publish"),
+        ("--publish --thin box_pose:1", "--thin: accepted not together with --publish"),
+        ("--publish --set slip_estimator.history_window=3", "--set: accepted not together with --publish"),
+        ("--publish --rate 0", "--rate: '0' is refused; accepted: 0.01 to 100"),
+        ("--publish --rate nan", "--rate: 'nan' is refused; accepted: 0.01 to 100"),
+        ("--publish --also odometry", "no messages on /odometry"),
+        ("--publish --remap bocks:=box_pose", "no messages on /bocks; it holds: /box_pose"),
+        ("--publish --withhold bocks", "--withhold bocks: there is no such topic"),
+        ("--publish --start 1000", "nothing to publish between --start and --stop"),
+        ("--rate 2", "--rate: accepted only together with --publish"),
+        ("--rate fast", "--rate: 'fast' is refused; accepted: 0.01 to 100"),
+        ("--paused --loop", "--paused, --loop: accepted only together with --publish"),
     ],
 )
 def test_a_bad_option_is_refused_in_one_line(bag: Path, refuse: Refuse, options: str, expected: str) -> None:
     assert expected in refuse("replay", bag, *options.split(" "))
 
 
-@pytest.mark.parametrize("command", ["replay", "info"])
+@pytest.mark.parametrize("command", ["replay", "info", "check", "calibrate"])
 def test_a_missing_bag_is_refused(tmp_path: Path, refuse: Refuse, command: str) -> None:
     assert "nowhere' not found" in refuse(command, tmp_path / "nowhere")
 
 
-def test_a_bag_without_sprockets_is_refused(
-    tmp_path: Path, lines: list[Any], bag_of: BagOf, refuse: Refuse
-) -> None:
+def test_a_bag_without_sprockets_is_refused(lines: list[Any], bag_of: BagOf, refuse: Refuse) -> None:
     path = bag_of([line for line in lines if line.topic != "sprockets"])
     error = refuse("replay", path)
     assert "no messages on /sprockets; it holds: /box_pose, /imu/data_raw, /reference_pose" in error
@@ -86,7 +97,7 @@ def test_a_bag_without_sprockets_is_refused(
     "topic", ["sprockets", "imu/data_raw", "box_pose", "measurement_reports", "odometry"]
 )
 def test_a_topic_of_another_type_is_refused(
-    tmp_path: Path, lines: list[Any], bag_of: BagOf, refuse: Refuse, topic: str
+    lines: list[Any], bag_of: BagOf, refuse: Refuse, topic: str
 ) -> None:
     text = "std_msgs/msg/String"
     others = [line for line in lines if line.topic != topic]
@@ -124,3 +135,11 @@ def test_a_parameter_file_without_anything_for_the_estimator_is_refused(
     other.write_text("can_driver: {ros__parameters: {can_channel: can0}}\n", encoding="utf-8")
     error = refuse("replay", bag, "--params", other)
     assert f"--params {other}: nothing for slip_estimator in it; accepted: " in error
+
+
+@pytest.mark.parametrize(("node", "words"), [("player", "replay BAG --publish"), ("record", "record")])
+def test_without_ros_the_command_names_it(
+    bag: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch, node: str, words: str
+) -> None:
+    monkeypatch.setitem(sys.modules, f"trackslip_bags.nodes.{node}", None)
+    assert "ROS is not available" in refuse(*words.replace("BAG", str(bag)).split())

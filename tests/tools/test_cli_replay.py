@@ -21,9 +21,12 @@ from trackslip_common.errors import ExitCode
 from trackslip_common.topics import TOPICS
 from trackslip_sim.demo.command import run_commands
 from trackslip_tools.cli.main import main
+from trackslip_tools.cli.replay_options import parameters_of
 
 Summary = Callable[..., dict[str, Any]]
 
+ESTIMATES = ("odometry", "odometry/local", "track_slip", "machine_state")
+OUTPUTS = (*ESTIMATES, "measurement_reports", "slip_estimator/parameters", "vehicle")
 KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_time_factor"}
 
 
@@ -171,6 +174,21 @@ def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) 
     assert back["rmse"] == default["rmse"]
 
 
+@pytest.mark.parametrize("by", ["set", "params"])
+def test_names_of_an_earlier_version_are_those_of_the_sources(
+    by: str, emulated_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "old.yaml"
+    file.write_text("slip_estimator: {ros__parameters: {pose_stamp_errors: [0.02], vehicle: {tread: 0.8}}}")
+    settings = ["slip_estimator.pose_stamp_errors=[0.02]", "slip_estimator.vehicle.tread=0.8"]
+    with open_bag(emulated_bag) as bag:
+        given = ([], settings) if by == "set" else ([str(file)], [])
+        p = parameters_of(bag, *given)
+    assert p.poses()["box_pose"].stamp_error == 0.02
+    assert p.vehicle.kinematics.tread == 0.8
+    assert "names of an earlier version" in capsys.readouterr().err
+
+
 def test_a_replay_of_a_recorded_run_matches_it(
     bag: Path, tmp_path: Path, lines: list[Any], summary: Summary
 ) -> None:
@@ -178,19 +196,8 @@ def test_a_replay_of_a_recorded_run_matches_it(
     made = tmp_path / "made"
     summary(bag, "--output", made, "--set", "slip_estimator.sources.box_pose.timeout=9")
     with open_bag(made) as estimates:
-        assert {t.removeprefix("/"): i.type_name for t, i in estimates.topics.items()} == {
-            topic: TOPICS[topic].type_name
-            for topic in (
-                "odometry",
-                "odometry/local",
-                "track_slip",
-                "machine_state",
-                "measurement_reports",
-                "slip_estimator/parameters",
-                "vehicle",
-                "odometry/local",
-            )
-        }
+        types = {topic.removeprefix("/"): info.type_name for topic, info in estimates.topics.items()}
+    assert types == {topic: TOPICS[topic].type_name for topic in OUTPUTS}
     both = write_lines(tmp_path / "both", lines, in_order_of_journal(made))
     assert summary(both)["replay_matches"] is True
     assert "replay_matches" not in summary(both, "--withhold", "box_pose:4:5")

@@ -128,10 +128,9 @@ def test_options_of_one_bag_are_refused_with_several(
 def test_workers_and_scheduler_exclude_each_other(fleet: Path, refuse: Callable[..., str]) -> None:
     words = refuse("replay", fleet, "--workers", "2", "--scheduler", "tcp://127.0.0.1:1")
     assert "not allowed with" in words
-    assert "--workers: '0' is refused" in refuse("replay", fleet, "--workers", "0")
 
 
-@pytest.mark.parametrize("count", ["100000", "9" * 5000, "1e3", "-1"])
+@pytest.mark.parametrize("count", ["0", "100000", "9" * 5000, "1e3", "-1"])
 @pytest.mark.parametrize("command", ["replay", "tune", "study", "report"])
 def test_invalid_number_of_workers_is_refused_before_any_starts(
     tmp_path: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch, command: str, count: str
@@ -242,6 +241,17 @@ def test_an_interruption_ends_the_processes() -> None:
     for process in multiprocessing.active_children():
         process.join()
         assert process.exitcode == -signal.SIGTERM
+
+
+@pytest.mark.slow
+def test_worker_of_a_cluster_that_is_killed_with_the_shared_data_is_named() -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, protocol="tcp") as cluster:
+        (nanny,) = cluster.workers.values()
+        ended = pytest.raises(InputError, match="its workers ended")
+        with open_workers(1, cluster.scheduler_address, shared=nanny.pid) as map_items, ended:
+            list(map_items(os.kill, [signal.SIGKILL]))  # shared is the pid of the worker's process
 
 
 def test_ctrl_c_of_a_terminal_leaves_no_process_and_no_traceback(fleet: Path) -> None:

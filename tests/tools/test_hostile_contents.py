@@ -144,7 +144,7 @@ def test_vehicle_of_no_size_in_a_bag_is_refused(
 
 
 def test_name_that_is_no_unicode_in_a_vehicle_is_refused(
-    tmp_path: Path, lines: list[Any], bag_of: BagOf, refuse: Callable[..., str]
+    lines: list[Any], bag_of: BagOf, refuse: Callable[..., str]
 ) -> None:
     text = VEHICLE.format(tread="0.73").replace("name: x", 'name: "\\ud800"')
     path = bag_of([lines[0].instead("vehicle", make(TEXT, data=text))])
@@ -180,7 +180,7 @@ def test_times_of_a_bag_are_those_of_its_files(
 
 @pytest.mark.parametrize("linked", [False, True])
 def test_file_that_the_metadata_name_2000_times_is_read_once(
-    tmp_path: Path, lines: list[Any], bag_of: BagOf, linked: bool
+    lines: list[Any], bag_of: BagOf, linked: bool
 ) -> None:
     def again(information: dict[str, Any]) -> None:
         (own,) = information["relative_file_paths"]

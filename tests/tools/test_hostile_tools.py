@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.commands import TRACKSLIP
+from fixtures.made_bags import write_bag
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
+from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_common.message_fields import SoilFields
 from trackslip_tools.cli.main import main
-from trackslip_tools.report.numbers import NumbersCollector
+from trackslip_tools.report.recording import read_recording
 
 Refuse = Callable[..., str]
 BagOf = Callable[..., Path]
@@ -38,12 +40,11 @@ def test_wrong_types_of_the_soils_topics(
     assert not (tmp_path / "report.html").exists()
 
 
-def test_class_names_that_change_in_a_bag() -> None:
+def test_class_names_that_change_in_a_bag(tmp_path: Path) -> None:
     classes = [(["a"], [0.5]), ([], []), (["b", "a"], [0.25, 0.75]), (["a", "b"], [1.0]), (["a"], [1.0, 2.0])]
-    collector = NumbersCollector(SoilFields, 0)
-    for names, p in classes:
-        collector.add(make(SOIL, class_names=names, class_probabilities=p))
-    found = collector.numbers().classes
+    messages = [("/soil", make(SOIL, class_names=names, class_probabilities=p)) for names, p in classes]
+    with open_bag(write_bag(tmp_path / "bag", messages)) as bag:
+        found = read_recording(bag, InputFilters()).numbers["soil"].classes
     nan = float("nan")
     np.testing.assert_array_equal(found["a"], [0.5, nan, 0.75, nan, nan])
     np.testing.assert_array_equal(found["b"], [nan, nan, 0.25, nan, nan])

@@ -200,13 +200,9 @@ def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) 
         rejected.add(source, Outcome.INVALID, count)
     rejected.add("imu/data_raw", Outcome.WAITING, 9)
     p = load_slip_parameters({"pose_sources": ["mocap_pose"]})
+    processed = ProcessingCounts(Counter(input_counts), rejected)
     with open_bag(bag) as opened:
-        assert (
-            explain_missing_estimate(
-                opened, p, InputFilters(), ProcessingCounts(Counter(input_counts), rejected)
-            )
-            == reason
-        )
+        assert explain_missing_estimate(opened, p, InputFilters(), processed) == reason
 
 
 def test_a_withheld_source_is_named(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,14 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs of a bag in batches: bounded, complete, and in live order."""
+"""Inputs of a bag in batches: bounded, complete, in live order, and as live conversion makes them."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.commands import json_of
+from fixtures.records import assert_same_bits
 from fixtures.whole_inputs import read_inputs
-from numpy.typing import NDArray
 
 from trackslip_bags import chunks
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
@@ -32,6 +34,7 @@ from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND
 from trackslip_tools.replay.inputs import InputStream
 
 P = load_slip_parameters()
+ANGLES = {"mounting_roll": math.pi, "mounting_pitch": 0.2, "mounting_yaw": -0.7}
 REPORT = "trackslip_msgs/msg/MeasurementReport"
 FILTERS = InputFilters(
     start_s=3.0,
@@ -54,13 +57,6 @@ def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
             assert batch.tables["truth/odometry"].rows.dtype == dtype_of(OdometryFields)
 
 
-def same_rows(rows: NDArray[np.void], expected: NDArray[np.void]) -> None:
-    """Assert equality field by field, with NaN equal to NaN."""
-    assert rows.dtype == expected.dtype
-    for name in rows.dtype.names or ():
-        np.testing.assert_array_equal(rows[name], expected[name], err_msg=name)
-
-
 @pytest.mark.parametrize("filters", [InputFilters(), FILTERS])
 @pytest.mark.parametrize("seconds", [0.7, 1000.0])
 def test_the_length_of_the_batches_changes_nothing(
@@ -71,7 +67,7 @@ def test_the_length_of_the_batches_changes_nothing(
         monkeypatch.setattr(chunks, "STRETCH_NS", round(seconds * 1e9))
         inputs = read_inputs(bag, P, filters, ("truth/odometry",))
     assert len(inputs.rows) > 1000
-    same_rows(inputs.rows, expected.rows)
+    assert_same_bits(inputs.rows, expected.rows)
     series = "truth/odometry"
     np.testing.assert_array_equal(inputs.series[series].rows, expected.series[series].rows)
     assert (inputs.messages, inputs.duration_s) == (expected.messages, expected.duration_s)
@@ -94,16 +90,71 @@ def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path
     assert {type(m) for m in measurements} == {Sprockets, YawRate, PoseFix}
 
 
-def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -> Path:
-    """The bag with a journal, given as (log time, report) of each line."""
+def without_readings(bag_path: Path, path: Path, every: int) -> Path:
+    """The bag with an IMU that lacks the gyro in each ``every``-th message, and accelerations in the next."""
+    with open_bag(bag_path) as bag, BagWriter(path) as writer:
+        count = 0
+        for m in bag.messages():
+            raw = bytes(m.raw)
+            if m.topic == "/imu/data_raw":
+                content = bag.deserialize(m.raw, m.type_name)
+                absent = np.array((-1.0, *(0.0,) * 8))
+                if count % every == 0:
+                    content.angular_velocity_covariance = absent
+                elif count % every == 1:
+                    content.linear_acceleration_covariance = absent
+                elif count % every == 2:
+                    content.orientation_covariance = np.diag((1e-4, 2e-4, 3e-4)).ravel()
+                    content.orientation.x, content.orientation.w = 0.1 * math.sin(count), 0.995
+                raw, count = serialize(content), count + 1
+            writer.write(m.topic, m.type_name, raw, m.log_time_ns)
+    return path
+
+
+@pytest.fixture(scope="module")
+def lacking(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return without_readings(emulated_bag, tmp_path_factory.mktemp("lacking") / "bag", 5)
+
+
+def test_columns_are_what_the_node_makes_of_each_message(lacking: Path) -> None:
+    settings = {**ANGLES, "use_orientation": True}
+    p = load_slip_parameters({f"sources.imu_data_raw.{name}": value for name, value in settings.items()})
+    imu = p.gyros()["imu/data_raw"]
+    with open_bag(lacking) as bag:
+        messages = [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["imu/data_raw"])]
+        found = [m for m in measurements_of(read_inputs(bag, p, InputFilters(), ())) if type(m) is YawRate]
+    live = [conversions.yaw_rate(message, "imu/data_raw", imu) for message in messages]
+    expected = [m for m in live if isinstance(m, YawRate)]
+    assert list(map(repr, found)) == list(map(repr, expected))
+    assert len(live) > len(expected) > 100
+    assert {np.isnan(m.acceleration_variance) for m in found} == {True, False}
+    assert {m.up_variances[0] for m in found} > {-1.0}
+
+
+def test_messages_without_rates_are_counted_by_name(
+    lacking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = json_of(tmp_path, "replay", lacking)
+    with open_bag(lacking) as bag:
+        count = bag.topics["/imu/data_raw"].count
+    assert found["rejected"]["imu/data_raw"]["without angular velocity"] == math.ceil(count / 5)
+    assert "without angular velocity" in capsys.readouterr().out
+
+
+def with_messages(path: Path, emulated_bag: Path, more: list[tuple[int, str, str, bytes]]) -> Path:
+    """The bag with further messages (log time, topic, type, content)."""
     with open_bag(emulated_bag) as bag, BagWriter(path) as writer:
         messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
-        for sequence, (logged_ns, report) in enumerate(lines):
-            raw = serialize(conversions.measurement_report(make, report, sequence))
-            messages.append((logged_ns, "/measurement_reports", REPORT, raw))
-        for logged_ns, topic, type_name, raw in sorted(messages, key=lambda m: m[0]):
+        for logged_ns, topic, type_name, raw in sorted([*messages, *more], key=lambda m: m[0]):
             writer.write(topic, type_name, raw, logged_ns)
     return path
+
+
+def journal(lines: list[tuple[int, Report]]) -> list[tuple[int, str, str, bytes]]:
+    """Messages of a journal, given as (log time, report) of each line."""
+    messages = (conversions.measurement_report(make, report, k) for k, (_, report) in enumerate(lines))
+    topic = "/measurement_reports"
+    return [(t, topic, REPORT, serialize(m)) for (t, _), m in zip(lines, messages, strict=True)]
 
 
 def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
@@ -120,9 +171,9 @@ def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path:
         for t, row in zip(times_ns, live, strict=True)
     ]
     lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
-    with open_bag(journaled(tmp_path / "bag", emulated_bag, lines)) as bag:
+    with open_bag(with_messages(tmp_path / "bag", emulated_bag, journal(lines))) as bag:
         reordered = read_inputs(bag, P, InputFilters(), ())
-    same_rows(np.delete(reordered.rows, 2000), np.delete(live, 2000))
+    assert_same_bits(np.delete(reordered.rows, 2000), np.delete(live, 2000))
     assert reordered.counts.lines == len(lines)
     assert (reordered.counts.lost_lines, reordered.counts.lost_inputs) == (0, 0)
     command = reordered.rows[2000]
@@ -136,10 +187,6 @@ def test_pose_set_with_stamp_0_does_not_extend_the_duration(emulated_bag: Path, 
         pose = next(bag.messages(["box_pose"]))
         content = bag.deserialize(pose.raw, pose.type_name)
         content.header.stamp.sec = content.header.stamp.nanosec = 0
-        messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
-    messages.append((pose.log_time_ns, "/slip_estimator/set_pose", pose.type_name, serialize(content)))
-    with BagWriter(tmp_path / "bag") as writer:
-        for logged_ns, topic, type_name, raw in sorted(messages, key=lambda m: m[0]):
-            writer.write(topic, type_name, raw, logged_ns)
-    with open_bag(tmp_path / "bag") as bag:
+    message = (pose.log_time_ns, "/slip_estimator/set_pose", pose.type_name, serialize(content))
+    with open_bag(with_messages(tmp_path / "bag", emulated_bag, [message])) as bag:
         assert read_inputs(bag, P, InputFilters(), ()).duration_s == expected

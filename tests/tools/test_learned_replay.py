@@ -74,7 +74,6 @@ def test_replay_without_an_estimate_has_no_learned_states(bag: Path, summary: Su
 def test_replay_starts_from_the_learned_states_of_the_live_estimator(
     second_run: Callable[..., Path],
     bag: Path,
-    tmp_path: Path,
     summary: Summary,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -133,5 +132,4 @@ def test_report_shows_learned_states_over_time(emulated_run: Run) -> None:
     width = curve.band[1] - curve.band[0]
     assert width[-1] < width[0] / 2.0
     assert np.all(np.diff(curve.times) > 0.0)
-    (course,) = panels["turning efficiency κ"].curves
-    assert len(course.times) == len(emulated_run.replay.learned)
+    assert len(curve.times) == len(emulated_run.replay.learned)

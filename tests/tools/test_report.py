@@ -4,25 +4,26 @@
 
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.made_bags import write_bag
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import header, make
+from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_common.message_fields import ForceFields, SoilFields
-from trackslip_common.topics import FORCES, SOIL, TRUE_SOIL
+from trackslip_common.topics import FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
-from trackslip_tools.report.numbers import NumbersCollector
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
 from trackslip_tools.report.path_plot import boxes, ellipses, path_plot
-from trackslip_tools.report.recording import Timing
+from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing_rows, parameter_rows, topic_rows
 from trackslip_tools.report.verdict import load_limits
@@ -74,7 +75,7 @@ def test_slips_are_drawn_beside_the_truth_while_moving(run: Run) -> None:
     assert estimate.band is not None
     low, high = estimate.band
     np.testing.assert_allclose((low + high)[later], 2.0 * estimate.values[later])
-    sigmas = np.sqrt(run.states.slip_covariances[later, 1, 1])
+    sigmas = np.sqrt(run.states.rows["slip_covariance"][later, 1, 1])
     np.testing.assert_allclose((high - low)[later], 100.0 * 4.0 * sigmas)
 
 
@@ -94,7 +95,7 @@ def test_ellipses_are_at_two_standard_deviations(run: Run) -> None:
     assert run.states is not None
     outlines = ellipses(run.states)
     last = outlines[-1] - run.states.path.poses[-1, :2]
-    covariance = run.states.pose_covariances[-1, :2, :2]
+    covariance = run.states.rows["pose_covariance"][-1, :2, :2]
     distances = np.sqrt(np.einsum("ki,ij,kj->k", last, np.linalg.inv(covariance), last))
     np.testing.assert_allclose(distances, 2.0)
 
@@ -119,38 +120,29 @@ def test_laser_points_are_on_the_walls_of_the_site(run: Run) -> None:
 # Soil
 
 
-def soil_messages(count: int) -> dict[str, list[Any]]:
-    kinds = {FORCES: "TrackForces", SOIL: "SoilEstimate"}
-    fields = {
-        FORCES: {"left_thrust": 2000.0, "left_thrust_variance": 100.0**2, "left_resistance": 900.0},
-        SOIL: {
-            "shear_modulus": 0.02,
-            "shear_modulus_lower": 0.01,
-            "shear_modulus_upper": 0.05,
-            "reason": "the slips are small",
-            "class_names": ["sand", "dry_clay"],
-            "class_probabilities": [0.3, 0.7],
-        },
-    }
-    return {
-        topic: [
-            make(f"trackslip_msgs/msg/{kind}", header=header(k * 100 * MS, ""), **fields[topic])
-            for k in range(count)
-        ]
-        for topic, kind in kinds.items()
-    }
+FORCES_FIELDS = {"left_thrust": 2000.0, "left_thrust_variance": 100.0**2, "left_resistance": 900.0}
+SOIL_FIELDS = {
+    "shear_modulus": 0.02,
+    "shear_modulus_lower": 0.01,
+    "shear_modulus_upper": 0.05,
+    "reason": "the slips are small",
+    "class_names": ["sand", "dry_clay"],
+    "class_probabilities": [0.3, 0.7],
+}
 
 
-def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run) -> None:
+def soil_messages(count: int) -> Iterator[tuple[str, Any]]:
+    """Topics and messages of forces, soil, and the same soil as the truth, at 10 Hz."""
+    for stamp in (header(k * 100 * MS, "") for k in range(count)):
+        yield FORCES, make(TOPICS[FORCES].type_name, header=stamp, **FORCES_FIELDS)
+        for topic in (SOIL, TRUE_SOIL):
+            yield topic, make(TOPICS[topic].type_name, header=stamp, **SOIL_FIELDS)
+
+
+def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run, tmp_path: Path) -> None:
     assert [panel.title for panel in ground_panels([run])] == []
-    kinds = {FORCES: ForceFields, SOIL: SoilFields}
-    numbers = {}
-    for topic, messages in soil_messages(10).items():
-        collector = NumbersCollector(kinds[topic], 0)
-        for message in messages:
-            collector.add(message)
-        numbers[topic] = collector.numbers()
-    numbers[TRUE_SOIL] = numbers[SOIL]
+    with open_bag(write_bag(tmp_path / "bag", soil_messages(10))) as bag:
+        numbers = read_recording(bag, InputFilters()).numbers
     recording = dataclasses.replace(run.recording, numbers=numbers)
     panels = ground_panels([dataclasses.replace(run, recording=recording)])
     thrust, resistance = titled(panels, "Forces on the left").curves

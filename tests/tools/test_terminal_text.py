@@ -1,12 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text for a terminal: no line exceeds 80 columns, and no word is lost."""
+"""Text and commands on a terminal: no line exceeds 80 columns, and no word is lost."""
 
+from pathlib import Path
+
+import pytest
+from fixtures.commands import TRACKSLIP
+from fixtures.terminal import COLUMNS, on_terminal
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_tools.terminal_text import WIDTH, format_for_terminal, table, wrap_line
 
+ROOT = Path(__file__).parents[2]
+BAGS = ROOT / "bags"
 WORDS = st.lists(st.text("abcxyz0.9", min_size=1, max_size=20), min_size=1, max_size=40)
 
 
@@ -40,3 +47,39 @@ def test_wide_table_is_folded_with_its_keys_and_constant_columns_above() -> None
     folded = [line.split()[0] for line in lines if line.startswith((" 0.0", "0.0"))]
     assert folded == ["0.01", "0.05"] * (len(folded) // 2)
     assert len(folded) >= 4
+
+
+# Commands of the README
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--help",
+        "replay --help",
+        "info {bags}/slalom_sand",
+        "replay {bags}/slalom_sand --stop 12 --withhold box_pose:6:9 --json {out}.json",
+        "replay {bags} --stop 5 --workers 1",
+        pytest.param("smooth {bags}/slalom_sand --output {out}", marks=pytest.mark.slow),
+        pytest.param(
+            "calibrate {bags}/slalom_sand {bags}/outage_sandy_loam --output {out}", marks=pytest.mark.slow
+        ),
+        "recover {bags}/power_cut --output {out}",
+        pytest.param("simulate --scenario straight --duration 5 --output {out}", marks=pytest.mark.slow),
+        "report {bags}/slalom_sand --output {out}/no/page.html",
+    ],
+)
+def test_a_command_keeps_to_the_terminal(words: str, tmp_path: Path) -> None:
+    arguments = [word.format(bags=BAGS, out=tmp_path / "out") for word in words.split()]
+    shown = on_terminal([*TRACKSLIP, *arguments])
+    assert shown.code == (2 if "/no/" in words else 0), shown.text
+    paths = (str(BAGS), str(tmp_path))  # never wrapped
+    assert [s for s in shown.lines if len(s) > COLUMNS and not any(path in s for path in paths)] == []
+    assert "Traceback" not in shown.text
+
+
+def test_list_of_make_targets_fits_the_terminal() -> None:
+    shown = on_terminal(["make", "-C", str(ROOT), "--no-print-directory"])
+    assert shown.code == 0
+    assert {line.split()[1] for line in shown.lines if line.startswith("make ")} >= {"demo", "test", "clean"}
+    assert [line for line in shown.lines if len(line) > COLUMNS] == []

@@ -196,6 +196,13 @@ def test_score_of_a_left_out_bag_is_compared_with_that_of_the_same_bag(tmp_path:
     assert tuning_of(tmp_path, [0.1, 0.4], [Fold(1, {}, score_at(0.2))]).improves_unseen
 
 
+def test_name_of_a_bag_with_a_line_break_stays_in_the_comment_of_its_file(tmp_path: Path) -> None:
+    tuning = replace(tuning_of(tmp_path, [0.1], []), bags=["one\nslip_estimator: 3"], values={})
+    p = load_slip_parameters()
+    write_evidence(tmp_path / "out", tuning, p)
+    assert read_yaml(tmp_path / "out" / PARAMETERS) == {NODE: {"ros__parameters": {}}}
+
+
 def tuning_of(folder: Path, positions: Sequence[float], folds: list[Fold]) -> Tuning:
     """A tuning that leaves the position errors (m) of the bags as they are."""
     scores = [score_at(position) for position in positions]

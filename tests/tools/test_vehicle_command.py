@@ -116,6 +116,23 @@ def test_requested_values_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (vehicle.mass.mass, vehicle.kinematics.rolling_radius) == (18000.0, 0.4)
 
 
+def test_ctrl_d_ends_the_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter(["18000"])
+
+    def ask(_: str) -> str:
+        try:
+            return next(answers)
+        except StopIteration:
+            raise EOFError from None
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", ask)
+    assert main(["vehicle", "new", "--name", "digger", "--output", str(tmp_path)]) == ExitCode.DONE
+    vehicle = load_vehicle(str(tmp_path / "digger.yaml"))
+    assert vehicle.mass is not None
+    assert vehicle.mass.mass == 18000.0
+
+
 def test_list_names_the_vehicles_of_config(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["vehicle", "list"]) == ExitCode.DONE
     names = capsys.readouterr().out.split()

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing import resource_tracker
 from signal import SIG_BLOCK, SIG_SETMASK, SIGINT, pthread_sigmask, signal
 from threading import current_thread, main_thread
@@ -42,21 +42,17 @@ def core_count() -> int:
     return len(os.sched_getaffinity(0))
 
 
-@contextmanager
-def open_workers(count: int, scheduler: str | None = None, shared: Any = None) -> Iterator[Map]:
+def open_workers(count: int, scheduler: str | None = None, shared: Any = None) -> AbstractContextManager[Map]:
     """Context of a ``Map`` over ``count`` processes (1: this one), or over a Dask scheduler's workers.
 
     Raises:
         InputError: no scheduler answers, it has no workers, or a worker ended.
     """
     if scheduler is not None:
-        with _dask_cluster(scheduler, shared) as map_items:
-            yield map_items
-    elif count > 1:
-        with _process_pool(count, shared) as map_items:
-            yield map_items
-    else:
-        yield lambda function, items: (function(shared, item) for item in items)
+        return _dask_cluster(scheduler, shared)
+    if count > 1:
+        return _process_pool(count, shared)
+    return nullcontext(lambda function, items: (function(shared, item) for item in items))
 
 
 @contextmanager
@@ -117,11 +113,9 @@ def _process_environment() -> Iterator[None]:
     """
     resource_tracker.ensure_running()  # starting it later would unblock the signal
     pressed: list[int] = []
-    handler = (
-        signal(SIGINT, lambda number, _: pressed.append(number))
-        if current_thread() is main_thread()
-        else None
-    )
+    handler = None
+    if current_thread() is main_thread():
+        handler = signal(SIGINT, lambda number, _: pressed.append(number))
     mask = pthread_sigmask(SIG_BLOCK, {SIGINT})
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)

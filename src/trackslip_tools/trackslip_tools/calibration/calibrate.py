@@ -12,7 +12,13 @@ from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.calibration import gyro, setup_results, standstill, timing, tracks
-from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding, round_value
+from trackslip_tools.calibration.finding import (
+    Finding,
+    empty_finding,
+    empty_findings,
+    make_finding,
+    round_value,
+)
 from trackslip_tools.calibration.recording import Recording
 
 _VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
@@ -56,13 +62,12 @@ def calibrate(
         **standstill.pressure_offsets(recordings),
     }
     sensor = _gyro_of(findings)
-    findings["effective_rolling_radius"] = tracks.distance_per_radian(recordings, sensor)
-    findings["rolling_radius"] = _rolling_radius(
-        findings["effective_rolling_radius"], hard_ground=hard_ground
-    )
+    distance = tracks.distance_per_radian(recordings, sensor)
+    findings["effective_rolling_radius"] = distance
+    findings["rolling_radius"] = _rolling_radius(distance, hard_ground=hard_ground)
     radius = findings["rolling_radius"].value or p.vehicle.kinematics.rolling_radius
     if not hard_ground:
-        findings["common_slip"] = _common_slip(findings["effective_rolling_radius"], radius)
+        findings["common_slip"] = _common_slip(distance, radius)
     turns = tracks.turning_gain(recordings, sensor)
     tread = p.vehicle.kinematics.tread
     findings["asymmetry"] = tracks.asymmetry(recordings, sensor, turns.gain.value, radius)
@@ -70,11 +75,8 @@ def calibrate(
     findings["tread"] = empty_finding(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
-    findings = {
-        **setup_results.remove_contradicted(findings, setups),
-        **setup_results.combine_measured(setups),
-    }
-    spread = turns.stddev * p.vehicle.kinematics.tread / radius
+    findings = setup_results.remove_contradicted(findings, setups) | setup_results.combine_measured(setups)
+    spread = turns.stddev * tread / radius
     confirmed = () if everything else _confirmed_names(findings, p, sources[0])
     new_findings = {name: _NO_FINDING if name in confirmed else finding for name, finding in findings.items()}
     return Calibration(findings, _node_parameters(new_findings, spread, p, sources), confirmed)
@@ -90,12 +92,7 @@ def _confirmed_names(
     }
     if gyro in p.gyros():
         present |= {"gyro_sign": p.gyros()[gyro].sign, "gyro_scale": p.gyros()[gyro].scale}
-    intervals = {name: findings[name].interval for name in present}
-    return tuple(
-        name
-        for name, interval in intervals.items()
-        if interval and interval[0] <= present[name] <= interval[1]
-    )
+    return tuple(name for name, value in present.items() if findings[name].contains(value))
 
 
 def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:
@@ -107,7 +104,7 @@ def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:
 def _gyro_sign(scale: Finding, sense: Finding) -> Finding:
     """1, or −1 for a unit mounted upside down; from the headings, else from the tracks' sense of turn."""
     for finding in (scale, sense):
-        if finding.interval is not None and finding.interval[0] * finding.interval[1] > 0.0:
+        if finding.interval is not None and not finding.contains(0.0):
             sign = math.copysign(1.0, finding.interval[0])
             return make_finding(sign, 0.0, "1", finding.basis)
     return empty_finding(sense.reason or "too uncertain", "1")
@@ -124,32 +121,26 @@ def _rolling_radius(distance: Finding, *, hard_ground: bool) -> Finding:
 
 def _common_slip(distance: Finding, radius: float) -> Finding:
     """i₀, if the present rolling radius is right."""
-    if distance.value is None or distance.interval is None:
+    if distance.value is None:
         return empty_finding(distance.reason, "1")
-    spread = (distance.interval[1] - distance.value) / radius
-    return make_finding(1.0 - distance.value / radius, spread, "1", f"if r is {radius:g} m")
+    slip = 1.0 - distance.value / radius
+    return make_finding(slip, distance.spread / radius, "1", f"if r is {radius:g} m")
 
 
 def _turning_findings(gain: Finding, scale: Finding, radius: float, tread: float) -> dict[str, Finding]:
     """κ and B/κ, with the uncertainty of the gyro's scale."""
-    if gain.value is None or gain.interval is None:
-        return {
-            "turning_efficiency": empty_finding(gain.reason, "1"),
-            "effective_tread": empty_finding(gain.reason, "m"),
-        }
-    shares = [(gain.interval[1] - gain.value) / abs(gain.value)]
-    basis = gain.basis
-    if scale.value is None or scale.interval is None:
+    units = {"turning_efficiency": "1", "effective_tread": "m"}
+    if gain.value is None:
+        return empty_findings(gain.reason, units)
+    shares, basis = [gain.spread / abs(gain.value)], gain.basis
+    if scale.value is None:
         basis += ", the scale of the gyro taken as 1"
     else:
-        shares.append((scale.interval[1] - scale.value) / abs(scale.value))
+        shares.append(scale.spread / abs(scale.value))
     share = math.hypot(*shares)
     if share >= 1.0:
         reason = f"the turns differ too much: r κ/B is {gain.value:.3f} ± {share * gain.value:.3f}"
-        return {
-            "turning_efficiency": empty_finding(reason, "1"),
-            "effective_tread": empty_finding(reason, "m"),
-        }
+        return empty_findings(reason, units)
     efficiency, effective = gain.value * tread / radius, radius / gain.value
     interval = (effective / (1.0 + share), effective / (1.0 - share))
     return {
@@ -180,9 +171,9 @@ def _node_parameters(
         if scale is not None:
             add(NODE, f"{group}.scale", abs(scale))
     efficiency = findings["turning_efficiency"]
-    if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
+    if efficiency.value is not None and 0.0 < efficiency.value <= 1.0:
         add(NODE, "turning.initial_efficiency", efficiency.rounded_value)
-        stddev = max(spread, efficiency.interval[1] - efficiency.value, _MIN_EFFICIENCY_STDDEV)
+        stddev = max(spread, efficiency.spread, _MIN_EFFICIENCY_STDDEV)
         add(NODE, "turning.initial_efficiency_stddev", round_value(stddev, efficiency.decimals))
     for node, offset in _time_offsets(findings, sources).items():
         add(node, "time_offset", offset)
@@ -197,12 +188,7 @@ def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> 
     offsets, delay = {}, 0.0
     for topic, key in zip(sources, ("gyro_delay", "pose_delay"), strict=True):
         finding, node = findings.get(key), _DRIVERS.get(topic)
-        if (
-            finding is None
-            or finding.value is None
-            or finding.interval is None
-            or finding.interval[0] * finding.interval[1] <= 0.0
-        ):
+        if finding is None or finding.value is None or finding.contains(0.0):
             continue
         delay += finding.value
         if node is not None:

@@ -3,6 +3,7 @@
 """One calibrated number, or the reason why the bags do not determine it."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -20,6 +21,15 @@ class Finding:
     def has_value(self) -> bool:
         """Whether there is a value."""
         return self.value is not None
+
+    @property
+    def spread(self) -> float:
+        """From the value to the upper end of its interval; 0 without a value."""
+        return 0.0 if self.value is None or self.interval is None else self.interval[1] - self.value
+
+    def contains(self, number: float) -> bool:
+        """Whether the interval contains a number; False without a value."""
+        return self.interval is not None and self.interval[0] <= number <= self.interval[1]
 
     @property
     def decimals(self) -> int:
@@ -48,3 +58,8 @@ def make_finding(value: float, spread: float, unit: str, basis: str) -> Finding:
 def empty_finding(reason: str, unit: str = "") -> Finding:
     """A finding without a value."""
     return Finding(unit, None, None, reason=reason)
+
+
+def empty_findings(reason: str, units: Mapping[str, str]) -> dict[str, Finding]:
+    """Findings without values, by name; ``units``: name → unit."""
+    return {name: empty_finding(reason, unit) for name, unit in units.items()}

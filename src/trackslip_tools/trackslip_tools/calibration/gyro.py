@@ -26,7 +26,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.calibration.finding import Finding, empty_finding, make_finding
+from trackslip_tools.calibration.finding import Finding, empty_finding, empty_findings, make_finding
 from trackslip_tools.calibration.recording import Recording, Series
 from trackslip_tools.calibration.regression import Fit, Increments, fit_clustered, fit_increments
 from trackslip_tools.calibration.spans import are_covered, block_numbers, motion_spans
@@ -103,7 +103,7 @@ def mounting_angles(recordings: Sequence[Recording]) -> dict[str, Finding]:
             clusters.append(block_numbers(t[inside], 1.0, k))
     rates, cluster, total = np.concatenate(rows), np.concatenate(clusters), _total_turn(recordings)
     if total < LEAST_TURN:
-        return dict.fromkeys(("imu_roll", "imu_pitch"), _insufficient_turn(total, "rad"))
+        return empty_findings(_insufficient_turn(total), {"imu_roll": "rad", "imu_pitch": "rad"})
     X = np.column_stack((rates[:, 2], np.ones(len(rates))))
     findings = {}
     for name, rate in (("imu_roll", rates[:, 1]), ("imu_pitch", -rates[:, 0])):
@@ -121,19 +121,17 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     """Scale of the gyro with its sign, and delay of the headings' stamps against the gyro's."""
     pairs = [pair for pair in map(_match_headings, recordings) if pair is not None]
     delay_name = "heading_delay" if any(recording.compass for recording in recordings) else "pose_delay"
+    units = {"gyro_scale": "1", delay_name: "s"}
     if not pairs:
         reason = "no heading of a pose or heading source while the gyro is recorded"
-        return {"gyro_scale": empty_finding(reason, "1"), delay_name: empty_finding(reason, "s")}
+        return empty_findings(reason, units)
     total = _total_turn(recordings)
     if total < LEAST_TURN:
-        return {"gyro_scale": _insufficient_turn(total, "1"), delay_name: _insufficient_turn(total, "s")}
-    (fit_of_all, delay), (fit, _) = (
-        _fit_scale_and_delay(pairs),
-        _fit_scale_and_delay([pair.with_block_means() for pair in pairs]),
-    )
+        return empty_findings(_insufficient_turn(total), units)
+    fit_of_all, delay = _fit_scale_and_delay(pairs)
+    fit, _ = _fit_scale_and_delay([pair.with_block_means() for pair in pairs])
     if fit_of_all is None or fit is None or not (fit_of_all.values[0] and fit.values[0]):
-        reason = "headings and gyro do not fit each other"
-        return {"gyro_scale": empty_finding(reason, "1"), delay_name: empty_finding(reason, "s")}
+        return empty_findings("headings and gyro do not fit each other", units)
     basis = f"{sum(len(pair.t) for pair in pairs)} headings, {total:.1f} rad turned"
     inverse = float(fit.values[0])
     half_width = fit_of_all.half_width(1) / abs(float(fit_of_all.values[0]))
@@ -174,11 +172,8 @@ def _match_headings(recording: Recording) -> _HeadingsWithGyro | None:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
     usable = inside & (readings[:, 1] <= _LARGEST_HEADING_STDDEV**2)
-    t, headings, variances = (
-        t[usable],
-        readings[usable, 0],
-        np.maximum(readings[usable, 1], _MIN_HEADING_STDDEV**2),
-    )
+    t, headings = t[usable], readings[usable, 0]
+    variances = np.maximum(readings[usable, 1], _MIN_HEADING_STDDEV**2)
     if len(t) < 4:
         return None
     angle = CubicHermiteSpline(gyro.t, recording.gyro_angle, gyro.values[:, 2])
@@ -202,5 +197,5 @@ def _total_turn(recordings: Sequence[Recording]) -> float:
     return total
 
 
-def _insufficient_turn(total: float, unit: str) -> Finding:
-    return empty_finding(f"turns of {total:.2f} rad in all; needed: {LEAST_TURN:g} rad", unit)
+def _insufficient_turn(total: float) -> str:
+    return f"turns of {total:.2f} rad in all; needed: {LEAST_TURN:g} rad"

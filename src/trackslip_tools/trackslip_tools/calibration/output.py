@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from trackslip_common.config_files import unflatten
+from trackslip_common.errors import printable
 from trackslip_tools.calibration.calibrate import Calibration
 from trackslip_tools.calibration.finding import Finding, round_value
 from trackslip_tools.cli.outputs import write_file
@@ -47,7 +48,8 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
     """
     evidence = text(calibration).splitlines()
     content = {node: {"ros__parameters": unflatten(v)} for node, v in calibration.parameters.items()}
-    heads = [*(f"{FILE_PREFIX}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
+    names = [printable(bag, len(bag)) for bag in bags]
+    heads = [*(f"{FILE_PREFIX}{name}" for name in names), *(f"# {line}" for line in evidence)]
     lines = [*heads, yaml.safe_dump(content, sort_keys=False)]
     write_file("output", path, "\n".join(lines))
 

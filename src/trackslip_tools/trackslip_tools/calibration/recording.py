@@ -9,12 +9,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import relative_name
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_bags.tables import TopicTable, read_tables
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import (
@@ -45,11 +44,9 @@ from trackslip_estimation.slip.motion import (
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource
 from trackslip_tools.replay.inputs import SPROCKETS
 
-Rows = NDArray[np.void]
-
 HYDRAULICS = "hydraulics"
 
-_Readings = tuple[NDArray[np.int64], FloatArray]  # (n,) stamps, (n, k) values
+_Readings = tuple[IntArray, FloatArray]  # (n,) stamps, (n, k) values
 
 
 class _Request(NamedTuple):
@@ -95,7 +92,7 @@ class Recording:
     gyro: Series  # about x, y, z of the unit: rad/s, uncorrected
     poses: Series  # x m, y m, heading rad (continuous); their variances
     hydraulics: Series  # left, right: Pa; left, right spool (nan if unknown)
-    motion: NDArray[np.int64]  # (n,) Motion at each sprocket sample
+    motion: IntArray  # (n,) Motion at each sprocket sample
     compass: Series | None = None  # of a heading source: heading rad (continuous), its variance
     left_out: Mapping[str, int] = field(default_factory=dict)  # topic → number of invalid readings
 
@@ -138,19 +135,21 @@ def read_recording(
         InputError: the bag lacks the sprockets, or a topic has an unsupported type.
     """
     require_topics(bag, [SPROCKETS])
+    pressures_and_spools = _columns("left_pressure", "right_pressure", "left_spool", "right_spool")
     pose_limits = (_MAX_COORDINATE, _MAX_COORDINATE, _MAX_COORDINATE, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
     requests = (
         _Request(SPROCKETS, SprocketFields, _sprockets, (_MAX_SPROCKET_SPEED,) * 2),
-        _Request(gyro, ImuFields, _rates, (_MAX_GYRO_RATE,) * 3),
+        _Request(gyro, ImuFields, _columns("rate_x", "rate_y", "rate_z"), (_MAX_GYRO_RATE,) * 3),
         _Request(poses, PoseFields, _poses, pose_limits),
-        _Request(HYDRAULICS, HydraulicsFields, _hydraulics, (_MAX_PRESSURE,) * 2),
+        _Request(HYDRAULICS, HydraulicsFields, pressures_and_spools, (_MAX_PRESSURE,) * 2),
         _compass_request(bag, *compass) if compass else _Request("", PoseFields, _poses, pose_limits),
     )
     (sprockets, rates, pose_series, hydraulics, headings), left_out = _read_series(bag, advance, requests)
     sprockets = _sprocket_angles(sprockets)
     pose_series.values[:, 2] = np.unwrap(pose_series.values[:, 2])
     headings.values[:, 0] = np.unwrap(headings.values[:, 0])
-    motion, compass_series = motion_states(sprockets, limits), headings if len(headings.t) else None
+    compass_series = headings if len(headings.t) else None
+    motion = motion_states(sprockets, limits)
     return Recording(sprockets, rates, pose_series, hydraulics, motion, compass_series, left_out)
 
 
@@ -172,7 +171,7 @@ def _compass_request(bag: Bag, topic: str, source: HeadingSource) -> _Request:
     return _Request(topic, OrientationFields if is_imu else QuaternionFields, values, (_MAX_COORDINATE,) * 2)
 
 
-def motion_states(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
+def motion_states(sprockets: Series, limits: MotionParameters) -> IntArray:
     """(n,) motion at each sample: standstill, straight or turning; unknown at the first."""
     states = np.full(len(sprockets.t), int(Motion.UNKNOWN))
     motion, speeds = make_table(MotionRecord, MOTION, 1), make_table(SpeedsRecord, SPEEDS, 1)
@@ -187,7 +186,7 @@ def _fill_motion_states(
     motion: Table[MotionRecord],
     speeds: Table[SpeedsRecord],
     limits: Table[LimitsRecord],
-    states: NDArray[np.int64],
+    states: IntArray,
 ) -> None:
     motion[0].changing = True
     for k in range(1, len(t)):
@@ -238,12 +237,17 @@ def _topic_rows(bag: Bag, request: _Request, table: TopicTable) -> Rows:
     return table.rows(request.kind)
 
 
-def _sorted_series(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:
+def _sorted_series(stamps_ns: IntArray, values: FloatArray, start_ns: int) -> Series:
     t: FloatArray = np.asarray((stamps_ns - start_ns) * 1e-9, dtype=np.float64)
     if (np.diff(t) <= 0.0).any():
         t, first = np.unique(t, return_index=True)
         values = values[first]
     return Series(t, values)
+
+
+def _columns(*names: str) -> Callable[[Rows], FloatArray]:
+    """A function that returns (n, k) columns of these names."""
+    return lambda rows: np.column_stack([rows[name] for name in names])
 
 
 def _sprockets(rows: Rows) -> FloatArray:
@@ -253,20 +257,9 @@ def _sprockets(rows: Rows) -> FloatArray:
     return np.column_stack((rows["left_speed"], rows["right_speed"], positions))
 
 
-def _rates(rows: Rows) -> FloatArray:
-    """(n, 3) rates about x, y, z, rad/s."""
-    return np.column_stack((rows["rate_x"], rows["rate_y"], rows["rate_z"]))
-
-
 def _poses(rows: Rows) -> FloatArray:
     """(n, 6) x, y, heading and their variances."""
     return np.column_stack((poses_of(rows), np.diagonal(rows["covariance"], axis1=1, axis2=2)))
-
-
-def _hydraulics(rows: Rows) -> FloatArray:
-    """(n, 4) left and right pressure, left and right spool."""
-    names = ("left_pressure", "right_pressure", "left_spool", "right_spool")
-    return np.column_stack([rows[name] for name in names])
 
 
 def _sprocket_angles(readings: Series) -> Series:

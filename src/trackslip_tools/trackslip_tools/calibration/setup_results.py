@@ -60,6 +60,5 @@ def _weighted_mean(values: Sequence[MeasuredValue]) -> Finding:
     value = sum(w * measured.value for w, measured in zip(weights, values, strict=True)) / total
     scatter = sum(w * (measured.value - value) ** 2 for w, measured in zip(weights, values, strict=True))
     spread = math.sqrt(max(1.0, scatter / max(len(values) - 1, 1)) / total)
-    return make_finding(
-        value, spread, values[0].unit, "; ".join(dict.fromkeys(measured.basis for measured in values))
-    )
+    basis = "; ".join(dict.fromkeys(measured.basis for measured in values))
+    return make_finding(value, spread, values[0].unit, basis)

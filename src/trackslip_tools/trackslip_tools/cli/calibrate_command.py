@@ -26,13 +26,7 @@ _REFERENCE = "reference_pose"  # in imported logs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add(
-        "bags",
-        metavar="BAG",
-        type=Path,
-        nargs="+",
-        help="of the same machine; on the same ground for κ and i₀",
-    )
+    shared_options.add_bags(parser, "of the same machine; on the same ground for κ and i₀")
     shared_options.add_params(parser, "the first bag's")
     shared_options.add_vehicle(parser, "the first bag's")
     shared_options.add_namespace(parser)
@@ -84,9 +78,8 @@ def run(args: argparse.Namespace) -> int:
         show(f"nothing new: {args.output} is not written")
     if args.json is not None:
         write_json(args.json, summary(result, names))
-    return (
-        ExitCode.DONE if any(finding.has_value for finding in result.findings.values()) else ExitCode.FAILED
-    )
+    has_values = any(finding.has_value for finding in result.findings.values())
+    return ExitCode.DONE if has_values else ExitCode.FAILED
 
 
 def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:

@@ -16,12 +16,9 @@ _COLUMNS = ("topic", "count", "Hz", "type")
 
 def describe(bag: Bag) -> str:
     """Facts and a table of topics; rates are means over the bag's whole duration."""
-    began = bag.start_ns * 1e-9
-    start = (
-        f"{datetime.fromtimestamp(began, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
-        if began < _CALENDAR_END_S
-        else "?"
-    )
+    began, start = bag.start_ns * 1e-9, "?"
+    if began < _CALENDAR_END_S:
+        start = f"{datetime.fromtimestamp(began, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
     lines = [
         f"bag       {bag.path}",
         f"start     {began:.3f} s ({start})",

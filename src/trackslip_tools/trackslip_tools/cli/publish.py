@@ -11,7 +11,6 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from types import TracebackType
 from typing import Any
 
 from trackslip_bags.input_filters import InputFilters
@@ -21,15 +20,8 @@ from trackslip_common.errors import InputError, show, suggestion
 from trackslip_tools.cli.nodes import load_node_module, shorten_logs
 
 _RATE_LIMITS = (0.01, 100.0)
-_OFFLINE_OPTIONS = (
-    "params",
-    "set",
-    "vehicle",
-    "thin",
-    "reference",
-    "output",
-    "json",
-)  # options rejected together with --publish
+# Options rejected together with --publish.
+_OFFLINE_OPTIONS = ("params", "set", "vehicle", "thin", "reference", "output", "json")
 _LIVE_OPTIONS = ("rate", "paused", "loop", "also")  # options accepted only together with --publish
 
 
@@ -138,12 +130,7 @@ class Keyboard:
             tty.setcbreak(sys.stdin.fileno())
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         if self._saved is not None:
             termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._saved)
             self._saved = None

@@ -28,18 +28,13 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    add = parser.add_argument
-    add(
-        "bags",
-        metavar="BAG",
-        type=Path,
-        nargs="+",
-        help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file; several, or a folder: a table",
-    )
+    about = "rosbag2 directory (MCAP or SQLite), .mcap or .db3 file; several, or a folder: a table"
+    shared_options.add_bags(parser, about)
     shared_options.add_params(parser)
     replay_options.add_options(parser)
     replay_options.add_force(parser)
-    add("--output", metavar="BAG", type=Path, help="write the estimates to a new bag")
+    about = "write the estimates to a new bag"
+    parser.add_argument("--output", metavar="BAG", type=Path, help=about)
     shared_options.add_json(parser, "the summary, of many bags a list,")
     worker_options.add_options(parser)
     publish.add_options(parser)
@@ -85,11 +80,9 @@ def _next_command(args: argparse.Namespace, *, has_failed: bool) -> str:
 def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
     """Replay with the options, and write ``--output`` if given."""
     replay_options.note_damage(bag)
-    settings = args.params, args.set
-    p, filters, reference = replay_options.read_settings(
-        bag, replay_options.options_of(args), *settings, args.vehicle
-    )
-    soil_p = replay_options.soil_parameters_of(bag, p, *settings)
+    options = replay_options.options_of(args)
+    p, filters, reference = replay_options.read_settings(bag, options, args.params, args.set, args.vehicle)
+    soil_p = replay_options.soil_parameters_of(bag, p, args.params, args.set)
     learned, _ = learned_before_bag(bag, p)
     with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
         watch = combine_watches(*watches, *([writer.add] if writer else []))

@@ -252,7 +252,7 @@ def read_settings(
     """
     filters, reference = options.filters(), options.reference_topic
     p = parameters_of(bag, files, settings, vehicle)
-    require_named_topics(bag, p, filters, reference)
+    _require_named_topics(bag, p, filters, reference)
     return p, filters, reference
 
 
@@ -273,14 +273,10 @@ def note_damage(bag: Bag) -> None:
         show(f"note: {bag.damage}", file=sys.stderr)
 
 
-def require_named_topics(
+def _require_named_topics(
     bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None
 ) -> None:
-    """Check that options name only known topics.
-
-    Raises:
-        InputError: an option names an unknown topic.
-    """
+    """Raise InputError if an option names an unknown topic."""
     require_topics(bag, filters.remap)
     types = {
         filters.remap.get(relative_name(t), relative_name(t)): info.type_name

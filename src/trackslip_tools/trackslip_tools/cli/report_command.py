@@ -15,7 +15,7 @@ from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.check.bag import setup_summary
-from trackslip_tools.cli import fleet_command, replay_options, worker_options
+from trackslip_tools.cli import fleet_command, replay_options, shared_options, worker_options
 from trackslip_tools.cli.outputs import (
     PAGE_PREFIX,
     make_folder,
@@ -46,9 +46,7 @@ _OWN_PARAMETERS = "own"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add(
-        "bags", metavar="BAG", type=Path, nargs="+", help="several are compared; of a folder, each has a page"
-    )
+    shared_options.add_bags(parser, "several are compared; of a folder, each has a page")
     add(
         "--params",
         metavar="FILE",
@@ -106,9 +104,9 @@ def _replay_run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
     """Run over a bag with a parameter file; ``recording``: contents of the bag, if already read."""
-    options, settings = replay_options.options_of(args), ([] if name == _OWN_PARAMETERS else [name], args.set)
-    p, filters, reference = replay_options.read_settings(bag, options, *settings, args.vehicle)
-    soil_p = replay_options.soil_parameters_of(bag, p, *settings)
+    options, files = replay_options.options_of(args), [] if name == _OWN_PARAMETERS else [name]
+    p, filters, reference = replay_options.read_settings(bag, options, files, args.set, args.vehicle)
+    soil_p = replay_options.soil_parameters_of(bag, p, files, args.set)
     recording = recording or read_recording(bag, filters, args.namespace)
     details = Details()
     result = replay(bag, p, filters, reference, soil_p, combine_watches(details.add, further))

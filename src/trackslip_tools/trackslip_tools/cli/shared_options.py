@@ -14,6 +14,11 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="BAG", type=Path, help=about)
 
 
+def add_bags(parser: argparse.ArgumentParser, about: str) -> None:
+    """Declare the bags of a command that takes several."""
+    parser.add_argument("bags", metavar="BAG", type=Path, nargs="+", help=about)
+
+
 def add_params(parser: argparse.ArgumentParser, of: str = "the bag's") -> None:
     """Declare ``--params``."""
     about = f"ROS parameter files over {of} own"

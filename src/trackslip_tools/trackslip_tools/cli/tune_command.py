@@ -12,7 +12,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.check.bag import check_bag, setup_summary
-from trackslip_tools.cli import replay_options, worker_options
+from trackslip_tools.cli import replay_options, shared_options, worker_options
 from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import refuse_foreign_file, write_json
 from trackslip_tools.cli.progress import iterate_with_bar, progress_bar
@@ -38,13 +38,7 @@ EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.ya
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add(
-        "bags",
-        metavar="BAG",
-        type=Path,
-        nargs="+",
-        help="rosbag2 directory, .mcap or .db3 file, or a folder of them",
-    )
+    shared_options.add_bags(parser, "rosbag2 directory, .mcap or .db3 file, or a folder of them")
     add("--plan", metavar="FILE", default="tune.yaml", help="what is tuned, within which bounds, for what")
     add(
         "--output",
@@ -90,10 +84,10 @@ def run(args: argparse.Namespace) -> int:
 def _load_task(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
     with open_bag(path, args.namespace) as bag:
         replay_options.note_damage(bag)
-        settings = args.params, args.set, args.vehicle
-        p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args), *settings)
-        setup = check_bag(bag, p, filters)
-        show(
-            setup_summary(setup) if setup.is_plausible else f"{path}: {setup_summary(setup)}", file=sys.stderr
+        options = replay_options.options_of(args)
+        p, filters, reference = replay_options.read_settings(
+            bag, options, args.params, args.set, args.vehicle
         )
+        setup = check_bag(bag, p, filters)
+        show(("" if setup.is_plausible else f"{path}: ") + setup_summary(setup), file=sys.stderr)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

@@ -5,6 +5,7 @@
 import argparse
 import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from trackslip_common.errors import ExitCode, InputError, printable, show
@@ -12,7 +13,6 @@ from trackslip_common.vehicle_files import vehicle_names
 from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.machine.draft import (
     ANTENNA,
-    MASS,
     MEASURING_METHODS,
     REQUIRED_NUMBERS,
     draft_vehicle,
@@ -79,19 +79,21 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _ask_numbers(known: dict[str, float]) -> dict[str, float]:
-    """The user's answers for important numbers that are not known; an empty answer omits a number."""
-    answers: dict[str, float] = {}
+    """The user's answers for important numbers that are not known; an empty answer omits a number.
+
+    The end of the input (Ctrl-D) ends the questions.
+    """
     specs = {name: spec for _, name, spec in number_options()}
-    for name in (MASS, *REQUIRED_NUMBERS[1:]):
-        if name in known:
-            continue
-        while True:
-            answer = input(
-                f"{specs[name].description}, {specs[name].unit} ({MEASURING_METHODS[name]}; Enter: unknown): "
-            )
+    answers: dict[str, float] = {}
+    unknown = [name for name in REQUIRED_NUMBERS if name not in known]
+    with suppress(EOFError):
+        while unknown:
+            name = unknown[0]
+            about = f"{specs[name].description}, {specs[name].unit} ({MEASURING_METHODS[name]}"
+            answer = input(f"{about}; Enter: unknown): ")
             try:
                 answers |= {name: float(answer)} if answer.strip() else {}
-                break
+                unknown.pop(0)
             except ValueError:
                 show(f"{printable(answer)!r} is no number")
     return answers

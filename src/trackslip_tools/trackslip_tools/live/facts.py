@@ -13,7 +13,7 @@ from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.report.panel import SIGMAS
 
-_MOTION_TEXTS = ("no motion known", "standing", "straight", "turning")  # by motion_state
+_MOTION_TEXTS = {1: "standing", 2: "straight", 3: "turning"}  # by motion_state
 _UNKNOWN = "–"
 FACT_NAMES = ("position", "heading", "motion", "speed", "roll", "pitch", "swing", "soil_reason")
 
@@ -30,9 +30,7 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
         facts["heading"] = heading_text(heading, float(odometry.covariance[2, 2]), SIGMAS)
         facts["speed"] = f"{odometry.v_x:.2f} m/s"
     if slip is not None:
-        facts["motion"] = (
-            _MOTION_TEXTS[slip.motion_state] if slip.motion_state < len(_MOTION_TEXTS) else _MOTION_TEXTS[0]
-        )
+        facts["motion"] = _MOTION_TEXTS.get(slip.motion_state, "no motion known")
     attitude = now.get(ATTITUDE, now_s)
     if attitude is not None and attitude.covariance[0] >= 0.0:
         sigmas = SIGMAS * np.sqrt(attitude.covariance)

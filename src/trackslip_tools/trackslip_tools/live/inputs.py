@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of the live page, and the fields that it reads."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -62,9 +62,3 @@ EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED_TOPICS)  # of other topics only the newes
 def pose_of(record: PoseFields | OdometryFields) -> FloatArray:
     """(3,) x, y, heading."""
     return np.array((record.x, record.y, heading_of(record)))
-
-
-def classes_of(message: Any) -> dict[str, float]:
-    """Soil → probability, of a SoilEstimate; empty if names and probabilities differ in number."""
-    names, chances = list(message.class_names), [float(p) for p in message.class_probabilities]
-    return dict(zip(names, chances, strict=True)) if len(names) == len(chances) else {}

@@ -92,24 +92,16 @@ def _make_document() -> tuple[Document, dict[str, str]]:
 def _strip_plot(panel: Panel, number: int, first: int) -> figure:
     """A report's panel over clock time, without tools, so that a finger scrolls the page."""
     plot = time_plot(panel, Range1d(0.0, 1.0, name=f"time-{number}"), 1)
-    remove_tools(plot)
+    plot.toolbar_location, plot.toolbar.tools, plot.js_event_callbacks = None, [], {}
     plot.min_border_left = _STRIP_BORDER
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
     plot.title.text = panel.title.partition(":")[0]
-    plot.xaxis.ticker, plot.xaxis.formatter = (
-        DatetimeTicker(desired_num_ticks=4),
-        DatetimeTickFormatter(**_CLOCK),
-    )
+    plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=4)
+    plot.xaxis.formatter = DatetimeTickFormatter(**_CLOCK)
     sources = {renderer.name: renderer.data_source for renderer in plot.renderers}
     for k, curve in enumerate(panel.curves):
         sources[curve.label].name = f"line-{first + k}"
     return plot
-
-
-def remove_tools(plot: figure) -> None:
-    """Remove the tools of a plot."""
-    plot.toolbar_location, plot.toolbar.tools = None, []
-    plot.js_event_callbacks = {}
 
 
 def _make_gauge(number: int, line: Line) -> Gauge | None:

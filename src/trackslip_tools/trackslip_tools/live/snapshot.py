@@ -11,7 +11,7 @@ from trackslip_common.message_reading import read
 from trackslip_common.topics import FORCES, ODOMETRY, SOIL, TRACK_SLIP
 from trackslip_tools.live import inputs
 from trackslip_tools.live.strips import MOTION
-from trackslip_tools.report.quantities import Columns
+from trackslip_tools.report.quantities import Columns, classes_of
 
 STANDING = 1  # motion_state of TrackSlip
 _MAX_AGE_S = 1.0
@@ -37,15 +37,14 @@ class Snapshot:
         if topic in inputs.TYPES:  # other pose sources are drawn only as fixes
             self._records[topic] = (record, now_s)
         if topic == SOIL:
-            self.classes, self.reason = inputs.classes_of(message), str(message.reason)
+            self.classes, self.reason = classes_of(message), str(message.reason)
         return record
 
     def get(self, topic: str, now_s: float) -> Any | None:
         """The record of a topic; None if missing or too old."""
         record, at_s = self._records.get(topic, (None, -np.inf))
-        return (
-            record if self.keeps_last or now_s - at_s <= _MAX_AGE_OF_TOPIC_S.get(topic, _MAX_AGE_S) else None
-        )
+        is_fresh = now_s - at_s <= _MAX_AGE_OF_TOPIC_S.get(topic, _MAX_AGE_S)
+        return record if is_fresh or self.keeps_last else None
 
     def columns(self, now_s: float) -> dict[str, Columns]:
         """Topic (or ``MOTION``) → columns for the panels, of fresh records."""
@@ -63,12 +62,12 @@ class Snapshot:
         if odometry is None:
             return None
         columns = {
-            "twists": np.array((odometry.v_x, odometry.v_y, odometry.yaw_rate)),
-            "twist_covariances": odometry.twist_covariance,
+            "twist": np.array((odometry.v_x, odometry.v_y, odometry.yaw_rate)),
+            "twist_covariance": odometry.twist_covariance,
             "slips": np.full(3, np.nan),
-            "slip_covariances": np.full((3, 3), np.nan),
+            "slip_covariance": np.full((3, 3), np.nan),
         }
         if slip is not None and slip.motion_state != STANDING:
             columns["slips"] = np.array((slip.left_slip, slip.right_slip, slip.slip_angle))
-            columns["slip_covariances"] = slip.covariance
+            columns["slip_covariance"] = slip.covariance
         return columns

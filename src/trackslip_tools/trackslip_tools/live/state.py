@@ -195,8 +195,8 @@ class LiveState:
     def _current_values(self, lights: list[Light], now_s: float, time_ms: float) -> dict[str, Any]:
         """The part of a frame that is sent in full."""
         outlines = outlines_of(self._now, now_s, self._vehicle)
-        likely = sorted(self._now.classes.items(), key=lambda item: -item[1])[:_MAX_CLASSES]
-        has_soil = self._now.get(SOIL, now_s) is not None
+        classes = self._now.classes if self._now.get(SOIL, now_s) is not None else {}
+        likely = sorted(classes.items(), key=lambda item: -item[1])[:_MAX_CLASSES]
         return {
             "number": self._number,
             "time": round(time_ms),
@@ -208,9 +208,7 @@ class LiveState:
             ],
             "setup": self._setup or _setup_warning(lights),
             "left_out": self._lights.left_out,
-            "classes": [[printable(name), *replace_nonfinite((p,)), p >= CERTAIN] for name, p in likely]
-            if has_soil
-            else [],
+            "classes": [[printable(name), *replace_nonfinite((p,)), p >= CERTAIN] for name, p in likely],
         }
 
     def _new_positions(self, now_s: float) -> dict[str, Any]:

@@ -34,19 +34,13 @@ class Line(NamedTuple):
     topic: str  # topic of its columns
 
 
-def make_lines() -> list[Line]:
-    """Lines of all panels, in their order."""
-    lines = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)]
-    first = len(QUANTITIES)
-    return lines + [
-        Line(first + k, curve, panel.scale, panel.topic)
-        for k, panel in enumerate(FIELD_PANELS)
-        for curve in panel.fields
-    ]
-
-
-LINES = make_lines()
 PANELS: tuple[Quantity | FieldPanel, ...] = (*QUANTITIES, *FIELD_PANELS)  # panels in their order
+LINES = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)] + [
+    Line(k, curve, panel.scale, panel.topic)
+    for k, panel in enumerate(FIELD_PANELS, len(QUANTITIES))
+    for curve in panel.fields
+]
+"""Lines of all panels, in their order."""
 
 
 def row_of(columns: Mapping[str, Columns]) -> FloatArray:

@@ -92,7 +92,7 @@ class JournalRuns:
     """Assigns the lines of a journal to runs of the estimator and to comparable parts.
 
     Args:
-        found: receives the parts and breaks.
+        comparability: receives the parts and breaks.
         sources: names of the sources, by number.
         sprockets: number of the sprocket source.
     """

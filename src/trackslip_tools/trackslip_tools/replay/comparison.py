@@ -56,12 +56,10 @@ class LiveComparison:
     def __str__(self) -> str:
         if not self.compared and self.comparability.breaks:
             return f"replay = live: not compared: {self.comparability.breaks[0].why}"
-        verdict = "yes" if self.matches else "NO"
         numbers = f"{self.compared} estimates, {self.unmatched} unmatched"
         where = f" in {self.differing}" if self.largest_difference > TOLERANCE else ""
-        return (
-            f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e}{where})"
-        )
+        difference = f"largest difference {self.largest_difference:.1e}{where}"
+        return f"replay = live: {'yes' if self.matches else 'NO'} ({numbers}, {difference})"
 
 
 class _Difference(NamedTuple):
@@ -112,11 +110,8 @@ class TopicComparison:
         """Number of unpaired rows: live ones in the parts up to ``end_ns``, replayed ones between pairs."""
         if self._replayed is None:
             return 0
-        return (
-            self._unmatched
-            + self._count_unpaired_live(parts, end_ns)
-            + self._count_between_pairs(self._replayed)
-        )
+        unpaired = self._count_unpaired_live(parts, end_ns) + self._count_between_pairs(self._replayed)
+        return self._unmatched + unpaired
 
     def _count_unpaired_live(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
         stamps_ns = np.empty(0, np.int64) if self._live is None else self._live["stamp_ns"]
@@ -173,9 +168,8 @@ class LiveComparer:
         """
         columns = _COLUMNS[what]
         numbers = np.ones(len(replayed), np.int64) if numbers is None else numbers
-        self._compared[what].add(
-            _select_columns(live, columns), _select_columns(replayed, columns, numbers), parts
-        )
+        replayed = _select_columns(replayed, columns, numbers)
+        self._compared[what].add(_select_columns(live, columns), replayed, parts)
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """Result over all topics; ``counts`` are those of the whole journal."""
@@ -287,9 +281,8 @@ def _largest_difference(a: Rows, b: Rows) -> _Difference:
         if name == "heading":
             difference = np.abs(wrap_angles(difference))
         difference = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, difference)
-        largest = max(
-            largest, _Difference(float(np.nan_to_num(difference, nan=np.inf).max(initial=0.0)), name)
-        )
+        size = float(np.nan_to_num(difference, nan=np.inf).max(initial=0.0))
+        largest = max(largest, _Difference(size, name))
     return largest
 
 

@@ -88,12 +88,8 @@ def _sprocket_samples(rows: Rows) -> Rows:
     )
     is_valid = (np.abs(speeds) < _MAX_VALUE).all(axis=1)
     is_valid &= (np.abs(positions) < _MAX_VALUE).all(axis=1) | np.isnan(positions).all(axis=1)
-    columns = {
-        "stamp_ns": rows["stamp_ns"][is_valid],
-        "speeds": speeds[is_valid],
-        "positions": positions[is_valid],
-    }
-    return series_of(**columns).rows
+    samples = series_of(stamp_ns=rows["stamp_ns"], speeds=speeds, positions=positions).rows
+    return np.asarray(samples[is_valid])
 
 
 def _yaw_rates(rows: Rows) -> Rows:
@@ -101,7 +97,7 @@ def _yaw_rates(rows: Rows) -> Rows:
     rows = rows[rows["kind"] == YAW_RATE]
     rates, variances = rows["value"][:, 0], rows["noise"][:, 0, 0]
     is_valid = (np.abs(rates) < _MAX_VALUE) & (variances > 0.0) & (variances < _MAX_VALUE**2)
-    return series_of(stamp_ns=rows["stamp_ns"][is_valid], rate=rates[is_valid]).rows
+    return np.asarray(series_of(stamp_ns=rows["stamp_ns"], rate=rates).rows[is_valid])
 
 
 def _sort_by_stamp(rows: Rows) -> Rows:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.orientations import tilts_of, wrap_angles
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import Score, errors_of, moving_slips, nees_of_each, path_of, slip_errors
 from trackslip_tools.replay.series import Series, series_of, sort_by_stamp
@@ -86,9 +87,8 @@ class PathErrors:
         if rows is None:
             return
         R = rows["covariance"] if "covariance" in (rows.dtype.names or ()) else None
-        reference_path = Path(
-            rows["stamp_ns"], np.column_stack([rows[name] for name in ("x", "y", "heading")]), R
-        )
+        poses = np.column_stack([rows[name] for name in ("x", "y", "heading")])
+        reference_path = Path(rows["stamp_ns"], poses, R)
         errors = errors_of(path, reference_path)
         self._count += len(errors)
         if len(errors):
@@ -98,10 +98,8 @@ class PathErrors:
         self._with_heading += int(has_heading.sum())
         self._heading += float(np.sum(errors[has_heading, 2] ** 2))
         if covariances is not None:
-            pose, position = (
-                nees_of_each(path, P, reference_path)[0],
-                nees_of_each(path, P, reference_path, 2)[0],
-            )
+            pose, _ = nees_of_each(path, P, reference_path)
+            position, _ = nees_of_each(path, P, reference_path, 2)
             has_nees, has_position_nees = has_heading & np.isfinite(pose), np.isfinite(position)
             self._nees += float(np.sum(pose[has_nees]))
             self._nees_position += float(np.sum(position[has_position_nees]))
@@ -150,10 +148,9 @@ class SlipErrors:
         estimates = sort_by_stamp(estimates)
         if self._recent is not None and self._recent["stamp_ns"][-1] < estimates["stamp_ns"][0]:
             estimates = np.concatenate((self._recent, estimates))
-        self._recent = estimates[
-            np.searchsorted(estimates["stamp_ns"], estimates["stamp_ns"][-1] - _RECENT_NS) :
-        ]
-        until_ns = min(int(estimates["stamp_ns"][-1]), self._slips.last_ns, self._odometry.last_ns)
+        last_ns = int(estimates["stamp_ns"][-1])
+        self._recent = estimates[np.searchsorted(estimates["stamp_ns"], last_ns - _RECENT_NS) :]
+        until_ns = min(last_ns, self._slips.last_ns, self._odometry.last_ns)
         true_slips, true_odometry = self._slips.pop_until(until_ns), self._odometry.pop_until(until_ns)
         if true_slips is None or true_odometry is None:
             return
@@ -165,6 +162,71 @@ class SlipErrors:
     @property
     def rmse(self) -> float | None:
         """RMS error; None without compared samples."""
+        return math.sqrt(self._sum / self._count) if self._count else None
+
+
+class TiltErrors:
+    """Errors of tilt against true odometry that is logged with the estimates; both come in pieces."""
+
+    def __init__(self) -> None:
+        self._pairs = TruthPairing()
+        self._tilt = self._height = 0.0  # sums of squares
+        self._count = 0
+
+    def add(self, estimates: Rows, truth: Rows | None) -> None:
+        """Add records of ``ESTIMATE``, and rows of odometry."""
+        known = estimates[estimates["tilt"]["known"] == 1]
+        rows = np.zeros(len(known), [("stamp_ns", np.int64), ("tilt", np.float64, (3,))])
+        rows["stamp_ns"], rows["tilt"] = known["stamp_ns"], known["tilt"]["tilt"]
+        pairs = self._pairs.add(rows, truth)
+        if pairs is None:
+            return
+        estimated, truth_rows = pairs
+        expected = (*tilts_of(truth_rows).T, truth_rows["z"])
+        errors = np.column_stack(
+            [
+                estimated["tilt"][:, k] - np.interp(estimated["stamp_ns"], truth_rows["stamp_ns"], values)
+                for k, values in enumerate(expected)
+            ]
+        )
+        self._tilt += float(np.sum(errors[:, :2] ** 2)) / 2.0
+        self._height += float(np.sum(errors[:, 2] ** 2))
+        self._count += len(estimated)
+
+    @property
+    def attitude(self) -> float | None:
+        """RMS error of roll and pitch, rad; None without compared samples."""
+        return math.sqrt(self._tilt / self._count) if self._count else None
+
+    @property
+    def height(self) -> float | None:
+        """RMS error of the height, m; None without compared samples."""
+        return math.sqrt(self._height / self._count) if self._count else None
+
+
+class SwingErrors:
+    """Errors of the swing angle against a true one that is logged with the estimates; both in pieces."""
+
+    def __init__(self) -> None:
+        self._pairs = TruthPairing()
+        self._sum, self._count = 0.0, 0
+
+    def add(self, estimates: Rows, truth: Rows | None) -> None:
+        """Add records of ``ESTIMATE``, and rows of ``SwingFields``."""
+        known = estimates[estimates["swing"]["known"] == 1]
+        rows = np.zeros(len(known), [("stamp_ns", np.int64), ("angle", np.float64)])
+        rows["stamp_ns"], rows["angle"] = known["stamp_ns"], known["swing"]["angle"]
+        pairs = self._pairs.add(rows, truth)
+        if pairs is None:
+            return
+        estimated, truth_rows = pairs
+        expected = np.interp(estimated["stamp_ns"], truth_rows["stamp_ns"], np.unwrap(truth_rows["angle"]))
+        errors = wrap_angles(estimated["angle"] - expected)
+        self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(estimated)
+
+    @property
+    def rmse(self) -> float | None:
+        """RMS error of the swing angle, rad; None without compared samples."""
         return math.sqrt(self._sum / self._count) if self._count else None
 
 

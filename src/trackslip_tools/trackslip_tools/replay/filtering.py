@@ -1,34 +1,49 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Withholds and thins arrivals during reading, as set by ``InputFilters``."""
+"""Withholds and thins messages during reading, as set by ``InputFilters``."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters, Thin
-from trackslip_common.arrays import BoolArray, Rows
+from trackslip_common.arrays import BoolArray, IntArray, Rows
 from trackslip_estimation.slip.records import POSE
 
 
-class ArrivalFilter:
-    """Removes arrivals that the filters hide from the estimator; ``origin_ns``: first log time of the bag."""
+class Withholding:
+    """Finds and counts the messages that ``--withhold`` hides; ``origin_ns``: first log time of the bag."""
 
-    def __init__(self, filters: InputFilters, sources: Sequence[str], origin_ns: int) -> None:
-        self._filters, self._sources, self._origin_ns = filters, sources, origin_ns
-        self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
+    def __init__(self, filters: InputFilters, origin_ns: int) -> None:
+        self._withholds, self._origin_ns = filters.withhold, origin_ns
+        self.topics = {withhold.topic for withhold in filters.withhold}
+        self.counts = [0] * len(filters.withhold)  # hidden messages, by filter
+
+    def hides(self, topic: str, log_times_ns: IntArray) -> BoolArray:
+        """(n,) whether each message of a topic is hidden; adds them to the counts."""
+        t = np.asarray((log_times_ns - self._origin_ns) * 1e-9, np.float64)
+        is_hidden = np.zeros(len(t), np.bool_)
+        for k, withhold in enumerate(self._withholds):
+            if withhold.topic == topic:
+                is_withheld = withhold.covers(t)
+                self.counts[k] += int(is_withheld.sum())
+                is_hidden |= is_withheld
+        return is_hidden
+
+
+class ArrivalFilter:
+    """Removes arrivals that the filters hide from the estimator."""
+
+    def __init__(self, filters: InputFilters, sources: Sequence[str], withholding: Withholding) -> None:
+        self._sources, self._withholding = sources, withholding
         self._thinners = [_Thinner(thin, sources, filters.seed) for thin in filters.thin]
 
     def __call__(self, rows: Rows) -> Rows:
         """The arrivals (in log order) that remain, with the noise that thinning adds."""
-        t = (rows["log_time_ns"] - self._origin_ns) * 1e-9
         is_hidden = np.zeros(len(rows), np.bool_)
-        for k, withhold in enumerate(self._filters.withhold):
-            if withhold.topic in self._sources:
-                is_source = rows["source"] == self._sources.index(withhold.topic)
-                is_withheld = withhold.covers(t) & is_source
-                self.hidden[k] += int(is_withheld.sum())
-                is_hidden |= is_withheld
+        for topic in self._withholding.topics.intersection(self._sources):
+            is_source = rows["source"] == self._sources.index(topic)
+            is_hidden[is_source] = self._withholding.hides(topic, rows["log_time_ns"][is_source])
         rows = rows[~is_hidden]
         for thinner in self._thinners:
             rows = thinner(rows)

@@ -57,7 +57,7 @@ from trackslip_tools.replay.arrivals import (
     reader_of,
 )
 from trackslip_tools.replay.comparable import LINE
-from trackslip_tools.replay.filtering import ArrivalFilter
+from trackslip_tools.replay.filtering import ArrivalFilter, Withholding
 from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
@@ -111,7 +111,7 @@ class InputStream:
         self.messages: Counter[str] = Counter()  # topic → number of messages read
         self.counts = JournalCounts()
         self.rejected, self._frames = Tally(), p.frames_of_sources()
-        self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
+        self.withholding = Withholding(filters, bag.start_ns)
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
 
     @property
@@ -130,8 +130,7 @@ class InputStream:
         return max(self._last_ns - self._first_ns, 0) * 1e-9
 
     def __iter__(self) -> Iterator[Batch]:
-        filtering = ArrivalFilter(self._filters, self.sources, self._bag.start_ns)
-        self.hidden = filtering.hidden
+        filtering = ArrivalFilter(self._filters, self.sources, self.withholding)
         commands = [self.sources.index(name) for name in _COMMANDS]
         parameters = _ParameterChanges(self._bag, self._reloadable, self.reloads, self.starts)
         sprockets = self.sources.index(SPROCKETS)

@@ -75,11 +75,7 @@ class LiveOrder:
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
         self._recent = np.empty(0, LINE)  # recent lines, with which new ones are compared to find copies
         self._numbered = False  # whether lines have numbers
-        self._last_sequence, self._last_line_ns = (
-            _NO_LINE,
-            0,
-        )  # number and log time of the last processed line
-        self._part = 0  # part of the last processed line
+        self._last_sequence, self._last_line_ns, self._part = _NO_LINE, 0, 0  # of the last processed line
 
     def push(self, rows: Rows, lines: Rows, until_ns: int) -> Rows:
         """Arrivals that are now in live order, after adding arrivals and lines logged before ``until_ns``."""
@@ -130,17 +126,15 @@ class LiveOrder:
         self.counts.disordered_lines += int((lost < 0).sum())
         is_free = ~_repeats_parameters(rows)
         is_free[[start.row for start in starts if start.row >= 0]] = False
-        named = _match_free_rows(rows, lines, is_free)
+        named = _match_rows(rows, lines, np.flatnonzero(is_free))
         is_command = np.isin(lines["source"], self._commands)
         missing = (named < 0) & ~is_command
         self.counts.lost_inputs += int(missing.sum())
         missing &= lines["source"] >= 0  # source −1: no input under the parameters of the replay
         parts = self._runs.assign_parts(lines, missing, lost, {start.line: start.unknown for start in starts})
         if len(lines):
-            self._last_sequence, self._last_line_ns = (
-                int(lines["sequence"][-1]),
-                int(lines["log_time_ns"][-1]),
-            )
+            self._last_sequence = int(lines["sequence"][-1])
+            self._last_line_ns = int(lines["log_time_ns"][-1])
         merged = np.flatnonzero(is_free & self._is_due_by_log_time(rows, limit_ns))
         before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][merged])  # the line they precede
         processed = np.flatnonzero((named >= 0) | is_command)
@@ -153,7 +147,7 @@ class LiveOrder:
         ordered["part"], self._part = numbers[places], int(numbers[-1])
         is_waiting = is_free.copy()
         is_waiting[merged] = is_waiting[named[named >= 0]] = False
-        is_waiting |= _repeats_parameters(rows) & (rows["log_time_ns"] > self._last_line_ns)
+        is_waiting |= _repeats_parameters(rows) & self._may_begin_run(rows)
         self._rows = rows[is_waiting & ~self._is_too_old(rows, limit_ns)]
         self._lines = self._lines[~is_due]
         return ordered[order]
@@ -189,21 +183,18 @@ class LiveOrder:
         return int(later[0]) if later.size and not is_first else -1
 
     def _is_due_by_log_time(self, rows: Rows, limit_ns: int) -> BoolArray:
-        """(n,) whether a row of a source without journal lines is due for merging by log time.
-
-        Parameters may belong to a run whose first line is still to come.
-        """
-        is_due = (
-            (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._last_line_ns) | (limit_ns == _END_NS)
-        )
-        is_unknown = ~np.isin(rows["source"], self._journaled)
-        return np.asarray(is_unknown & (rows["log_time_ns"] < limit_ns) & is_due)
+        """(n,) whether a row of a source without journal lines is due for merging by log time."""
+        is_due = ~np.isin(rows["source"], self._journaled) & (rows["log_time_ns"] < limit_ns)
+        return np.asarray(is_due if limit_ns == _END_NS else is_due & ~self._may_begin_run(rows))
 
     def _is_too_old(self, rows: Rows, limit_ns: int) -> BoolArray:
         """(n,) whether a row is too old to be named by any later line."""
         oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
-        may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._last_line_ns)
-        return np.asarray((rows["log_time_ns"] < oldest_ns) & ~may_begin)
+        return np.asarray((rows["log_time_ns"] < oldest_ns) & ~self._may_begin_run(rows))
+
+    def _may_begin_run(self, rows: Rows) -> BoolArray:
+        """(n,) whether a row holds parameters of a run whose first line may still come."""
+        return np.asarray((rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._last_line_ns))
 
 
 class _Start(NamedTuple):
@@ -256,36 +247,29 @@ def _processed_rows(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     return processed
 
 
-def _match_free_rows(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
-    """(n,) row that each line names, among the free ones; −1: none.
+def _match_rows(rows: Rows, lines: Rows, free: IntArray) -> IntArray:
+    """(n,) row that each line names, among those whose numbers are ``free`` (k,); −1: none.
 
     Among rows and lines of one source and stamp, the first line names the first row, and so on. The line of a
     manual pose without a stamp has the stamp at which the pose was used.
     """
-    if is_free.all():
-        return _match_rows(rows, lines)
-    numbers = np.flatnonzero(is_free)
-    matches = _match_rows(rows[numbers], lines)
-    return np.where(matches >= 0, np.append(numbers, -1)[matches], -1)
-
-
-def _match_rows(rows: Rows, lines: Rows) -> IntArray:
-    sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
+    keys = {name: rows[name][free] for name in ("source", "stamp_ns")}
+    sources, stamps_ns = (np.concatenate((column, lines[name])) for name, column in keys.items())
     order = np.lexsort((stamps_ns, sources))  # by key; within a key: rows, then lines, both in order
     sources, stamps_ns = sources[order], stamps_ns[order]
     begins = np.ones(order.size, np.bool_)
     begins[1:] = (np.diff(sources) != 0) | (np.diff(stamps_ns) != 0)
     key, first = np.cumsum(begins) - 1, np.flatnonzero(begins)
-    is_line = order >= len(rows)
+    is_line = order >= free.size
     count = np.bincount(key[~is_line], minlength=first.size)  # rows of each key
     at = np.flatnonzero(is_line)
     number = at - first[key[at]] - count[key[at]]  # number of the line within its key
     matched = number < count[key[at]]
     matches = np.full(len(lines), -1)
-    matches[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]
-    unstamped = np.setdiff1d(np.flatnonzero(rows["stamp_ns"] == 0), matches)
-    for source in np.unique(rows["source"][unstamped]):
-        unmatched = unstamped[rows["source"][unstamped] == source]
+    matches[order[at[matched]] - free.size] = order[first[key[at[matched]]] + number[matched]]
+    unstamped = np.setdiff1d(np.flatnonzero(keys["stamp_ns"] == 0), matches)
+    for source in np.unique(keys["source"][unstamped]):
+        unmatched = unstamped[keys["source"][unstamped] == source]
         unnamed = np.flatnonzero((matches < 0) & (lines["source"] == source))[: unmatched.size]
         matches[unnamed] = unmatched[: unnamed.size]
-    return matches
+    return np.asarray(np.append(free, -1)[matches])

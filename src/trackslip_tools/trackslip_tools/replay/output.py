@@ -37,7 +37,7 @@ from trackslip_tools.replay.inputs import REPORTS
 from trackslip_tools.replay.parts import EstimatorStart, Part
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
-from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
+from trackslip_tools.replay.soil_output import rejection_lines, soil_lines, soil_messages, soil_summary
 from trackslip_tools.replay.stuck_tracks import stuck_track_lines
 from trackslip_tools.terminal_text import wrap_line
 
@@ -80,13 +80,11 @@ class EstimateWriter:
             self._write(REPORTS, message, self._logged_ns or 0)
             self._sequence += 1
             if estimate is not None:
-                for topic in (ODOMETRY, TRACK_SLIP, MACHINE_STATE):
+                topics = [ODOMETRY, TRACK_SLIP, MACHINE_STATE]
+                topics += [ATTITUDE] if estimate.outputs.tilt is not None else []
+                topics += [SWING_ESTIMATE] if estimate.outputs.swing is not None else []
+                for topic in topics:
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
-                if estimate.outputs.tilt is not None:
-                    self._write(ATTITUDE, message_of(ATTITUDE, estimate, self._p), estimate.stamp_ns)
-                if estimate.outputs.swing is not None:
-                    message = message_of(SWING_ESTIMATE, estimate, self._p)
-                    self._write(SWING_ESTIMATE, message, estimate.stamp_ns)
                 message = message_of(LOCAL_ODOMETRY, self._local.estimate_in_odom(estimate), self._p)
                 self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
@@ -139,14 +137,10 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
 
     ``elapsed_s``: waiting time of the user.
     """
-    rmse: dict[str, Any] = {}
-    for name in _PATH_NAMES:
-        score = result.scores.get(name)
-        rmse[name] = score.position if score else None
-    filter_score = result.scores.get("filter")
-    rmse["heading"] = filter_score.heading if filter_score else None
-    rmse["slip"] = result.slip_rmse
-    rmse["swing"] = result.swing_rmse
+    scores = {name: result.scores.get(name) for name in _PATH_NAMES}
+    rmse: dict[str, Any] = {name: score.position if score else None for name, score in scores.items()}
+    rmse["heading"] = scores["filter"].heading if scores["filter"] else None
+    rmse["slip"], rmse["swing"] = result.slip_rmse, result.swing_rmse
     rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
     if result.withheld:
         last = result.withheld[-1].as_dict()
@@ -163,7 +157,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "nees": result.nees,
         "nees_position": result.nees_position,
         "withheld": [withheld.as_dict() for withheld in result.withheld],
-        "learned": to_json(result.learned[-1].findings) if result.learned else None,
+        "learned": to_json(result.findings) if result.learned else None,
         "explanations": [
             {
                 "t": (h.stamp_ns - result.start_ns) * 1e-9,
@@ -188,8 +182,7 @@ def text(result: Replay, elapsed_s: float) -> str:
     speed = result.duration_s / elapsed_s
     lines = [f"{result.duration_s:.1f} s replayed in {elapsed_s:.1f} s ({speed:.0f} × real time)"]
     lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.messages.items())]
-    for source, reasons in result.rejected.by_source().items():
-        lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
+    lines += rejection_lines(result.rejected)
     final = _final_values(result)
     if final is None:
         lines.append(f"no estimate: {result.no_estimate}")
@@ -214,9 +207,8 @@ def _stuck_track_lines(result: Replay) -> list[str]:
     lines = stuck_track_lines(result.soil.forces, result.start_ns) if result.soil is not None else []
     if result.longest_gap is not None:
         begin, end = result.longest_gap
-        lines.append(
-            f"longest time without an accepted fix {end - begin:.1f} s, from {begin:.1f} to {end:.1f} s"
-        )
+        duration = f"{end - begin:.1f} s, from {begin:.1f} to {end:.1f} s"
+        lines.append(f"longest time without an accepted fix {duration}")
     return lines
 
 
@@ -232,7 +224,7 @@ def _event_lines(result: Replay) -> list[str]:
 
 def _learned_lines(result: Replay) -> list[str]:
     """One line for each observed quantity, and one for all others."""
-    lines = quantity_lines(result.learned[-1].findings) if result.learned else []
+    lines = quantity_lines(result.findings)
     return ["learned values of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 
@@ -253,8 +245,7 @@ def _score_lines(result: Replay) -> list[str]:
         score = result.scores.get(name)
         position = f"{score.position:.4f}" if score else "–"
         heading = f"{score.heading:.4f}" if score and score.heading is not None else "–"
-        numbers = f"{position:>12}{heading:>14}"
-        lines.append(f"  {label:<32}{numbers}")
+        lines.append(f"  {label:<32}{position:>12}{heading:>14}")
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
     if result.attitude_rmse is not None:

@@ -3,7 +3,7 @@
 """Runs the slip estimator over the inputs of a bag in live order, part by part."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,10 +94,17 @@ def _later_start(p: SlipEstimatorParameters, stream: InputStream, number: int) -
         return EstimatorStart(p, None)
     changed, tree = stream.starts[number]
     p = p.changed(changed)
+    return EstimatorStart(p, usable_learned(tree, p)[0])
+
+
+def usable_learned(tree: Any, p: SlipEstimatorParameters) -> tuple[Learned | None, str]:
+    """Quantities learned before, as a bag states them, and a line for the user; None: nothing for ``p``."""
+    if tree is None:
+        return None, ""
     try:
-        return EstimatorStart(p, None if tree is None else from_tree(tree, learned_context(p)))
-    except InputError:
-        return EstimatorStart(p, None)
+        return from_tree(tree, learned_context(p)), "starts from values learned before the bag begins"
+    except InputError as error:
+        return None, f"learned values from before the bag are not used: {error}"
 
 
 def _process(
@@ -117,13 +124,10 @@ def _process(
         begin = end
         if estimator.started and end > 0:
             explanations.append(estimator.competing_explanations)
-        if estimator.started and end > 0 and (end in pieces or end in commands):
-            learned.append(
-                LearnedValues(
-                    estimator.newest_ns or 0, learned_quantities(estimator.learned, estimator.learned_context)
-                )
-            )
-            estimator.read_events()  # before the branch discards them
+            if end in pieces or end in commands:
+                findings = learned_quantities(estimator.learned, estimator.learned_context)
+                learned.append(LearnedValues(estimator.newest_ns or 0, findings))
+                estimator.read_events()  # before the branch discards them
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD
             command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))

@@ -22,6 +22,7 @@ from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.attitude.records import AttitudeRejection
 from trackslip_estimation.setup_check.finding import Result as Setup
 from trackslip_estimation.slip.explanations import AcceptedEvent
+from trackslip_estimation.slip.learned_text import LearnedQuantity
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
@@ -34,7 +35,7 @@ from trackslip_tools.replay.comparison import (
     tilt_rows,
 )
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.errors import PathErrors, SlipErrors
+from trackslip_tools.replay.errors import PathErrors, SlipErrors, SwingErrors, TiltErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import ProcessingCounts
@@ -44,7 +45,6 @@ from trackslip_tools.replay.scoring import Score, path_of, path_of_series
 from trackslip_tools.replay.series import Series, SeriesCollector, reduce_columns, sort_by_stamp
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.stuck_tracks import FixGaps
-from trackslip_tools.replay.tilt import SwingErrors, TiltErrors
 from trackslip_tools.replay.withheld import WithheldErrors, WithholdResult
 
 KEPT_ESTIMATE = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
@@ -82,6 +82,11 @@ class Replay:
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
     setup: Setup = field(default_factory=Setup)  # result of the setup check
 
+    @property
+    def findings(self) -> list[LearnedQuantity]:
+        """Learned quantities at the end; empty without an estimate."""
+        return self.learned[-1].findings if self.learned else []
+
     def has_failed(self, *, force: bool) -> bool:
         """Whether there is no estimate, or one from a wrong setup that ``force`` does not accept."""
         return bool(self.no_estimate) or not (force or self.setup.is_plausible)
@@ -102,10 +107,8 @@ class Collector:
         self._stream, self._reference = stream, reference
         self.withheld = withheld
         self._scored = scored_topics(reference)
-        self._estimates, self._series = (
-            GrowingRows(KEPT_ESTIMATE, MOST_DRAWN),
-            SeriesCollector(most=MOST_DRAWN),
-        )
+        self._estimates = GrowingRows(KEPT_ESTIMATE, MOST_DRAWN)
+        self._series = SeriesCollector(most=MOST_DRAWN)
         self._last, self._rejected = np.empty(0, KEPT_ESTIMATE), stream.rejected
         self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
         self._swing = SwingErrors()

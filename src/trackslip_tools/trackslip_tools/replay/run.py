@@ -10,18 +10,17 @@ import time
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_learned
 from trackslip_bags.reader import Bag
-from trackslip_common.errors import InputError
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY
 from trackslip_estimation.setup_check.collect import Collector as SetupCollector
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, from_tree, learned_context
+from trackslip_estimation.slip.learned import Learned
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.check.bag import check_collected
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import explain_missing_estimate
-from trackslip_tools.replay.parts import Watch, run_estimator
+from trackslip_tools.replay.parts import Watch, run_estimator, usable_learned
 from trackslip_tools.replay.result import Collector, Replay, scored_topics
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilRun
 from trackslip_tools.replay.withheld import WithheldErrors
@@ -46,13 +45,11 @@ def replay(
     reference = reference or default_reference(bag)
     topics = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if soil_p is not None else ()))
     stream = InputStream(bag, p, filters, scored_topics(reference).union(topics))
-    withheld = WithheldErrors(filters, bag.start_ns)
-    collector = Collector(
-        stream, reference, p.vehicle.kinematics, withheld, compares=not filters.changes_inputs
-    )
-    soil = (
-        SoilRun(bag.start_ns, filters, soil_p) if soil_p is not None and HYDRAULICS in stream.topics else None
-    )
+    withheld, compares = WithheldErrors(filters, bag.start_ns), not filters.changes_inputs
+    collector = Collector(stream, reference, p.vehicle.kinematics, withheld, compares=compares)
+    soil = None
+    if soil_p is not None and HYDRAULICS in stream.topics:
+        soil = SoilRun(soil_p, stream.withholding, compares=compares)
     learned, start = learned_before_bag(bag, p)
     setup = SetupCollector(p)
     for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
@@ -66,8 +63,7 @@ def replay(
     result.no_estimate = explain_missing_estimate(bag, p, filters, collector.processed)
     result.start = start
     result.setup = check_collected(setup)
-    hidden_hydraulics = soil.hidden if soil is not None else [0] * len(stream.hidden)
-    result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, hidden_hydraulics, strict=True)])
+    result.withheld = withheld.result(stream.withholding.counts)
     if soil is not None and stream.messages[HYDRAULICS]:
         result.soil = soil.result(stream.counts.comparable)
     result.vehicle = p.vehicle.name
@@ -86,10 +82,4 @@ def learned_before_bag(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | 
     Raises:
         InputError: the topic of the parameters holds something else.
     """
-    tree = bag_learned(bag)
-    if tree is None:
-        return None, ""
-    try:
-        return from_tree(tree, learned_context(p)), "starts from values learned before the bag begins"
-    except InputError as error:
-        return None, f"learned values from before the bag are not used: {error}"
+    return usable_learned(bag_learned(bag), p)

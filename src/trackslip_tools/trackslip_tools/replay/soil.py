@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the soil estimator over a replay; its inputs are the replayed slips and the hydraulics of the bag."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
 from trackslip_bags.tables import TopicTable
 from trackslip_common.arrays import FloatArray, IntArray, Rows
@@ -16,9 +16,7 @@ from trackslip_common.message_reading import dtype_of, read
 from trackslip_common.tally import Tally
 from trackslip_common.topics import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import (
-    FORCES as FORCES_RECORD,
-)
+from trackslip_estimation.soil.records import FORCES as FORCES_RECORD
 from trackslip_estimation.soil.records import (
     HYDRAULICS,
     IS_HYDRAULICS,
@@ -29,6 +27,7 @@ from trackslip_estimation.soil.records import (
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.comparable import Comparability
+from trackslip_tools.replay.filtering import Withholding
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import LoggedMessages
 from trackslip_tools.replay.series import Series, SeriesCollector
@@ -76,12 +75,10 @@ class SoilReplay:
 
 
 class SoilRun:
-    """Soil estimator over the estimates of a replay, in pieces; ``start_ns``: first log time of the bag."""
+    """Soil estimator over a replay, in pieces; ``compares``: whether outputs are compared with live ones."""
 
-    def __init__(self, start_ns: int, filters: InputFilters, p: SoilEstimatorParameters) -> None:
-        self._start_ns, self._filters = start_ns, filters
-        self._estimator = SoilEstimator(p)
-        self.hidden = [0] * len(filters.withhold)  # withheld readings, by filter
+    def __init__(self, p: SoilEstimatorParameters, withholding: Withholding, *, compares: bool) -> None:
+        self._estimator, self._withholding, self._compares = SoilEstimator(p), withholding, compares
         self._waiting, self._logged_ns = np.empty(0, SOIL_INPUT), np.empty(0, np.int64)  # readings
         self._published_ns = 0  # largest log time of an estimate so far
         self._forces = GrowingRows(FORCES_RECORD)
@@ -117,19 +114,13 @@ class SoilRun:
             self._classes,
         )
         can_compare, until_ns = comparability.comparable_start()
-        if result.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs and can_compare:
+        if self._compares and result.series.keys() & {FORCES, SOIL} and can_compare:
             result.live = _compare_with_live(result, _END_NS if until_ns is None else until_ns)
         return result
 
     def _queue_readings(self, logged: LoggedMessages) -> None:
         """Queue the readings of hydraulics that are not withheld."""
-        t = np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)
-        is_hidden = np.zeros(len(logged.rows), np.bool_)
-        for k, withhold in enumerate(self._filters.withhold):
-            if withhold.topic == HYDRAULICS:
-                is_withheld = withhold.covers(t)
-                self.hidden[k] += int(is_withheld.sum())
-                is_hidden |= is_withheld
+        is_hidden = self._withholding.hides(HYDRAULICS, logged.log_times_ns)
         self._waiting = np.concatenate((self._waiting, _reading_inputs(logged.rows[~is_hidden])))
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~is_hidden]))
 
@@ -169,7 +160,7 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
     """Compare every live number with the replayed one; per topic, between first and last common stamps."""
     compared = unmatched = 0
     largest = 0.0
-    for topic, replayed in ((FORCES, _force_rows(result.forces)), (SOIL, _soil_rows(result))):
+    for topic, replayed in ((FORCES, force_rows(result.forces)), (SOIL, soil_rows(result.states))):
         live = result.series.get(topic)
         if live is None or not len(live) or not len(replayed):
             continue
@@ -182,20 +173,18 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
         unmatched += len(live_rows) + len(replayed_rows) - 2 * len(in_replayed)
         compared += len(live_rows)
         for name in replayed.dtype.names or ():
-            largest = max(
-                largest, _relative_difference(live_rows[name][in_live], replayed_rows[name][in_replayed])
-            )
+            difference = _relative_difference(live_rows[name][in_live], replayed_rows[name][in_replayed])
+            largest = max(largest, difference)
     replayed_classes = {
         s.stamp_ns: np.array(list(s.classes.values())) for s in result.states if s.stamp_ns <= until_ns
     }
     for stamp_ns in replayed_classes.keys() & result.live_classes.keys():
-        largest = max(
-            largest, _relative_difference(result.live_classes[stamp_ns], replayed_classes[stamp_ns])
-        )
+        difference = _relative_difference(result.live_classes[stamp_ns], replayed_classes[stamp_ns])
+        largest = max(largest, difference)
     return SoilComparison(compared, unmatched, largest)
 
 
-def _force_rows(forces: Rows) -> Rows:
+def force_rows(forces: Rows) -> Rows:
     """(n,) records of ``ForceFields``, with the values of messages."""
     rows = np.empty(len(forces), dtype_of(ForceFields))
     rows["stamp_ns"] = forces["stamp_ns"]
@@ -204,9 +193,9 @@ def _force_rows(forces: Rows) -> Rows:
     return rows
 
 
-def _soil_rows(result: SoilReplay) -> Rows:
+def soil_rows(states: Iterable[SoilState]) -> Rows:
     """(n,) records of ``SoilFields``, with the values of messages."""
-    messages = (conversions.soil_estimate(make, s, result.parameters.base_frame) for s in result.states)
+    messages = (conversions.soil_estimate(make, state, "") for state in states)
     return np.array([tuple(read(SoilFields, m)) for m in messages], dtype=dtype_of(SoilFields))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from trackslip_bags.messages import make
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
+from trackslip_common.tally import Tally
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS
 from trackslip_tools.replay.soil import SoilReplay
@@ -53,11 +54,18 @@ def is_certain(probability: float, is_identifiable: bool) -> bool:
     return is_identifiable and probability >= CERTAIN
 
 
+def rejection_lines(rejected: Tally) -> list[str]:
+    """A line for each source and reason of rejected messages."""
+    return [
+        f"  {source:<24}{n:>8} not used: {reason}"
+        for source, reasons in rejected.by_source().items()
+        for reason, n in reasons.items()
+    ]
+
+
 def soil_lines(result: SoilReplay) -> list[str]:
     """The last state of the soil, as lines for a terminal."""
-    lines = []
-    for source, reasons in result.rejected.by_source().items():
-        lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
+    lines = rejection_lines(result.rejected)
     if not result.states:
         return lines
     last = result.states[-1]
@@ -72,10 +80,7 @@ def soil_lines(result: SoilReplay) -> list[str]:
         lines.append(f"  not identifiable: {strength.reason}")
     likely = sorted(last.classes.items(), key=lambda item: -item[1])[:3]
     if likely:
-        lines += (
-            []
-            if is_certain(likely[0][1], strength.identifiable)
-            else ["  the class is undetermined; likeliest:"]
-        )
+        if not is_certain(likely[0][1], strength.identifiable):
+            lines.append("  the class is undetermined; likeliest:")
         lines.append("  " + "  ".join(f"{name} {100 * p:.0f} %" for name, p in likely))
     return lines if result.live is None else [*lines, str(result.live)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters, Withhold
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import Rows
 from trackslip_tools.replay.errors import PathErrors
 from trackslip_tools.replay.inputs import LoggedMessages
 from trackslip_tools.replay.scoring import Score
@@ -52,11 +52,10 @@ class WithheldErrors:
     def add(self, estimates: Rows, reference: LoggedMessages | None) -> None:
         """Add (n,) ESTIMATE and rows of the reference."""
         for withhold, errors in zip(self._withholds, self._errors, strict=True):
-            rows = (
-                None
-                if reference is None
-                else reduce_columns(reference.rows[withhold.covers(self._times(reference))])
-            )
+            rows = None
+            if reference is not None:
+                t = np.asarray((reference.log_times_ns - self._start_ns) * 1e-9, np.float64)
+                rows = reduce_columns(reference.rows[withhold.covers(t)])
             errors.add_estimates(estimates, rows)
 
     def result(self, counts: Sequence[int]) -> list[WithholdResult]:
@@ -65,6 +64,3 @@ class WithheldErrors:
             WithholdResult(withhold, count, errors.score, errors.last_position)
             for withhold, errors, count in zip(self._withholds, self._errors, counts, strict=True)
         ]
-
-    def _times(self, logged: LoggedMessages) -> FloatArray:
-        return np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)

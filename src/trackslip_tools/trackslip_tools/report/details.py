@@ -105,9 +105,8 @@ def _fill_expected_poses(fixes: Rows, estimates: Rows, published: IntArray) -> N
     first = estimates[before[has_pose]]
     last = estimates[np.minimum(before[has_pose] + 1, published[has_pose] - 1)]
     span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
-    share = (
-        (fixes["stamp_ns"][has_pose] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
-    )
+    share = (fixes["stamp_ns"][has_pose] - first["stamp_ns"]) / span_ns
+    share *= last["stamp_ns"] > first["stamp_ns"]
     step = last["pose"] - first["pose"]
     step[:, YAW] = wrap_angles(step[:, YAW])
     fixes["pose"][has_pose] = first["pose"] + share[:, np.newaxis] * step

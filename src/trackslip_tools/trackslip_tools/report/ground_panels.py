@@ -4,8 +4,6 @@
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from trackslip_common.topics import SOIL
 from trackslip_tools.report.numbers import Numbers
 from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, curve_colour, plot_title
@@ -57,7 +55,7 @@ def _class_panels(runs: Sequence[Run]) -> list[Panel]:
     panels = []
     for run in (run for run in runs if SOIL in run.numbers):
         numbers = run.numbers[SOIL]
-        at_end = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
+        at_end = numbers.classes_at(-1)
         likely = sorted(at_end, key=lambda name: -at_end[name])
         curves = [
             Curve(name, colour, numbers.times, PERCENT * numbers.classes[name])

@@ -46,8 +46,8 @@ def travel_of(run: Run) -> Travel:
     states = run.states
     dt = np.diff(states.path.stamps_ns) * 1e-9
     dt[dt > _GAP_S] = 0.0
-    speeds = np.hypot(states.twists[:-1, 0], states.twists[:-1, 1])
-    seconds = {motion: float(dt[states.motion[:-1] == motion].sum()) for motion in Motion}
+    speeds = np.hypot(*states.rows["twist"][:-1, :2].T)
+    seconds = {motion: float(dt[states.rows["motion"][:-1] == motion].sum()) for motion in Motion}
     return Travel(float((speeds * dt)[states.is_moving[:-1]].sum()), seconds)
 
 
@@ -57,18 +57,16 @@ def facts_of(
     """All key numbers, in display order."""
     travel = travel_of(run)
     straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
-    standing = travel.seconds[Motion.STANDING]
-    has_estimates = run.states is not None
-    durations = f"{straight:.0f} s straight, {turning:.0f} s turning"
+    distance, driving, standing, durations = _NO_VALUE, _NO_VALUE, _NO_VALUE, ""
+    if run.states is not None:
+        distance, driving = f"{travel.distance:.1f} m", f"{straight + turning:.0f} s"
+        standing = f"{travel.seconds[Motion.STANDING]:.0f} s"
+        durations = f"{straight:.0f} s straight, {turning:.0f} s turning"
     return [
         _verdict_fact(checks),
-        Fact("Distance", f"{travel.distance:.1f} m" if has_estimates else _NO_VALUE),
-        Fact(
-            "Driving",
-            f"{straight + turning:.0f} s" if has_estimates else _NO_VALUE,
-            durations if has_estimates else "",
-        ),
-        Fact("Standing", f"{standing:.0f} s" if has_estimates else _NO_VALUE),
+        Fact("Distance", distance),
+        Fact("Driving", driving, durations),
+        Fact("Standing", standing),
         _largest_slip_fact(run, limits),
         _stuck_tracks_fact(run),
         _soil_fact(run),
@@ -91,27 +89,20 @@ def _largest_slip_fact(run: Run, limits: VerdictLimits) -> Fact:
     if run.states is None:
         return Fact(name, _NO_VALUE)
     states = run.states
-    sigmas = np.sqrt(np.diagonal(states.slip_covariances, axis1=1, axis2=2)[:, :2])
+    sigmas = np.sqrt(np.diagonal(states.rows["slip_covariance"], axis1=1, axis2=2)[:, :2])
     is_known = states.is_moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
+    never_known = f"never known to {PERCENT * limits.slip_stddev:g} %"
     if not is_known.any():
-        return Fact(name, _NO_VALUE, f"never known to {PERCENT * limits.slip_stddev:g} %")
+        return Fact(name, _NO_VALUE, never_known)
     times = run.recording.seconds(states.path.stamps_ns)
-    slips = np.column_stack(
-        [persistent_slips(times, np.where(is_known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
-    )
+    known_slips = np.where(is_known, states.rows["slips"][:, :2], np.nan)
+    slips = np.column_stack([persistent_slips(times, of_side) for of_side in known_slips.T])
     if not np.isfinite(slips).any():
-        return Fact(
-            name, _NO_VALUE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LEAST_TIME_S:g} s"
-        )
+        return Fact(name, _NO_VALUE, f"{never_known} for {_LEAST_TIME_S:g} s")
     sizes = np.where(np.isfinite(slips), np.abs(slips), -1.0)
     k, side = np.unravel_index(np.argmax(sizes), sizes.shape)
-    at_s = times[k]
-    spread = 2.0 * PERCENT * sigmas[k, side]
-    return Fact(
-        name,
-        f"{PERCENT * slips[k, side]:.0f} %",
-        f"{SIDES[side]} track at {at_s:.1f} s, ± {spread:.0f} %",
-    )
+    note = f"{SIDES[side]} track at {times[k]:.1f} s, ± {2.0 * PERCENT * sigmas[k, side]:.0f} %"
+    return Fact(name, f"{PERCENT * slips[k, side]:.0f} %", note)
 
 
 def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
@@ -139,7 +130,7 @@ def _soil_fact(run: Run) -> Fact:
         return Fact("Soil", _NO_VALUE, "neither hydraulics nor soil estimates in the bag")
     last = numbers.rows[-1]
     note = f"K {100.0 * last['shear_modulus']:.1f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
-    chances = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
+    chances = numbers.classes_at(-1)
     if not chances:
         return Fact("Soil", "not classified", note)
     likely = max(chances, key=lambda name: chances[name])

@@ -20,17 +20,7 @@ from trackslip_common.orientations import wrap_angles
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.sources import PoseSource
-from trackslip_tools.report.panel import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    SIGMAS,
-    Curve,
-    Form,
-    Panel,
-    curve_colour,
-)
+from trackslip_tools.report.panel import BLUE, GREEN, INK, ORANGE, SIGMAS, Curve, Form, Panel, curve_colour
 from trackslip_tools.report.run import Run
 
 WINDOW = 25  # innovations in a moving mean
@@ -50,19 +40,16 @@ class Innovations(NamedTuple):
     def mean_ratio(self) -> float:
         """Mean of NIS over mean dof of the accepted measurements: 1 if the filter is consistent."""
         accepted = ~self.gated
-        return (
-            float(self.nis[accepted].sum() / self.freedoms[accepted].sum())
-            if accepted.any()
-            else float("nan")
-        )
+        if not accepted.any():
+            return float("nan")
+        return float(self.nis[accepted].sum() / self.freedoms[accepted].sum())
 
 
 def innovations_of(run: Run) -> dict[str, Innovations]:
     """Source → innovations of the measurements that were compared with the estimate."""
     reports = run.details.reports
-    by_source = {
-        run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])
-    }
+    numbers = np.unique(reports["source"]).tolist()
+    by_source = {run.details.sources[k]: reports[reports["source"] == k] for k in numbers}
     return {
         source: Innovations(
             run.recording.seconds(rows["stamp_ns"]),
@@ -152,10 +139,8 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
         numbers = [k for k, name in enumerate(run.details.sources) if name == source]
         of_source = fixes[compared & np.isin(fixes["source"], numbers)]
         if len(of_source):
-            whitened[source] = (
-                run.recording.seconds(of_source["stamp_ns"]),
-                _whiten_differences(of_source, parameters),
-            )
+            times = run.recording.seconds(of_source["stamp_ns"])
+            whitened[source] = times, _whiten_differences(of_source, parameters)
     return whitened
 
 

@@ -15,23 +15,19 @@ Row = tuple[str, ...]
 
 def learned_rows(run: Run) -> list[Row]:
     """Quantity, value, interval of ±2σ, unit, description; only the description of unobserved quantities."""
-    findings = run.replay.learned[-1].findings if run.replay.learned else []
-    return [_row(finding) for finding in findings]
+    return [_row(finding) for finding in run.replay.findings]
 
 
 def learned_panels(runs: Sequence[Run]) -> list[Panel]:
     """One panel for each quantity that some run has observed at its end."""
     observed: dict[str, LearnedQuantity] = {}
     for run in runs:
-        last = run.replay.learned[-1].findings if run.replay.learned else []
-        observed |= {finding.name: finding for finding in last if finding.observed}
+        observed |= {finding.name: finding for finding in run.replay.findings if finding.observed}
     panels = []
     for name, finding in observed.items():
         curves = [curve for run in runs if (curve := _learned_curve(runs, run, name)) is not None]
-        form = finding.form
-        panels.append(
-            Panel(form.label, f"{form.label}, {form.unit}", curves, limits=(_nominal_value(finding),))
-        )
+        label, axis = finding.form.label, f"{finding.form.label}, {finding.form.unit}"
+        panels.append(Panel(label, axis, curves, limits=(_nominal_value(finding),)))
     return panels
 
 

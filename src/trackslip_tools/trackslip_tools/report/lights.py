@@ -9,7 +9,6 @@ is limited.
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -72,17 +71,11 @@ def _short_text(text: str) -> str:
     return printable(text, _MAX_CHARACTERS)
 
 
-@dataclass
-class _ReceivedStatus:
-    status: Status
-    at_s: float
-
-
 class Lights:
     """Keeps the last status of each name; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self._received: dict[str, _ReceivedStatus] = {}
+        self._received: dict[str, tuple[Status, float]] = {}  # name → its last status, and when it came
         self._new_values: dict[str, Mapping[str, str]] = {}
         self.left_out = 0  # statuses beyond ``MAX_LIGHTS``
 
@@ -90,12 +83,12 @@ class Lights:
         """Add a DiagnosticArray; parts of its nodes that it no longer contains are removed as recovered."""
         by_name = {status.name: status for status in statuses}
         nodes = {status.node for status in by_name.values()}
-        for name, received in list(self._received.items()):
-            if received.status.node in nodes and name not in by_name:
+        for name, (status, _) in list(self._received.items()):
+            if status.node in nodes and name not in by_name:
                 del self._received[name]
         for name, status in by_name.items():
             if name in self._received or len(self._received) < MAX_LIGHTS:
-                self._received[name] = _ReceivedStatus(status, now_s)
+                self._received[name] = status, now_s
                 self._new_values[name] = status.values
             else:
                 self.left_out += 1
@@ -107,11 +100,10 @@ class Lights:
 
     def lights_at(self, now_s: float) -> list[Light]:
         """All lights, sorted by name."""
-        return [_light(self._received[name], now_s) for name in sorted(self._received)]
+        return [_light(status, now_s - at_s) for _, (status, at_s) in sorted(self._received.items())]
 
 
-def _light(received: _ReceivedStatus, now_s: float) -> Light:
-    status, quiet_s = received.status, now_s - received.at_s
+def _light(status: Status, quiet_s: float) -> Light:
     rate, age = (_number(status.values.get(key, "")) for key in (_RATE, _AGE))
     age = quiet_s if math.isnan(age) else age + quiet_s
     if quiet_s > SILENT_S:

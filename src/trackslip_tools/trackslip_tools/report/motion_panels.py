@@ -85,7 +85,8 @@ def errors_of(run: Run, states: States) -> Errors | None:
     values[:, 2] = wrap_angles(values[:, 2])
     stamps_ns = reference.stamps_ns[is_covered]
     following = np.searchsorted(states.path.stamps_ns, stamps_ns)
-    return Errors(run.recording.seconds(stamps_ns), values[is_covered], states.pose_covariances[following])
+    covariances = states.rows["pose_covariance"][following]
+    return Errors(run.recording.seconds(stamps_ns), values[is_covered], covariances)
 
 
 def true_slips(run: Run) -> Series | None:
@@ -117,7 +118,7 @@ def _true_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
 def _estimated_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
     for run, drawn in _drawn_states(runs):
         states = drawn.states
-        values, (lower, upper) = quantity.values_with_band(vars(states))
+        values, (lower, upper) = quantity.values_with_band(states.rows)
         if quantity.estimate == "slips":
             values, lower, upper = (
                 np.where(states.is_moving, column, np.nan) for column in (values, lower, upper)

@@ -20,7 +20,7 @@ from trackslip_tools.report.headline import facts_of
 from trackslip_tools.report.innovations import innovation_panels
 from trackslip_tools.report.learned_panels import learned_panels, learned_rows
 from trackslip_tools.report.motion_panels import error_panels, motion_panels
-from trackslip_tools.report.panel import DARK, GREY
+from trackslip_tools.report.panel import COLOURS, DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
 from trackslip_tools.report.plots import strip_plot, time_plot, time_range
 from trackslip_tools.report.run import Run, align_runs, first_runs_of_bags
@@ -84,15 +84,13 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
 def _link_cursor(time_plots: Sequence[figure], path: PathPlot) -> None:
     """Link one cursor across all plots over time with the machine's marker on the path."""
     spans = [Span(dimension="height", line_color=GREY, visible=False) for _ in time_plots]
-    tracks = {
-        "paths": [track.path for track in path.tracks],
-        "markers": [track.marker for track in path.tracks],
-    }
-    code = _template_text("cursor.js")
+    paths, markers = [track.path for track in path.tracks], [track.marker for track in path.tracks]
+    shared = {"spans": spans, "paths": paths, "markers": markers}
+    code = resources.files(__package__).joinpath("templates", "cursor.js").read_text(encoding="utf-8")
     for plot, span in zip(time_plots, spans, strict=True):
         plot.add_layout(span)
-        _add_pointer_callback(plot, CustomJS(args={"spans": spans, "on_path": False, **tracks}, code=code))
-    _add_pointer_callback(path.plot, CustomJS(args={"spans": spans, "on_path": True, **tracks}, code=code))
+        _add_pointer_callback(plot, CustomJS(args={"on_path": False, **shared}, code=code))
+    _add_pointer_callback(path.plot, CustomJS(args={"on_path": True, **shared}, code=code))
 
 
 def _add_pointer_callback(plot: figure, callback: CustomJS) -> None:
@@ -109,7 +107,7 @@ def _template_variables(
     events = [events_of(run) for run in runs]
     heads = [facts_of(*of) for of in zip(runs, repeat(limits), checks, events)]
     return {
-        "runs": run_facts(runs),
+        "runs": [run_facts(run, colour) for run, colour in zip(runs, COLOURS, strict=False)],
         "facts": [*zip(*heads, strict=True)],
         "events": [(run.label, event_rows(of_run)) for run, of_run in zip(runs, events, strict=True)],
         "is_aligned": len(first_runs_of_bags(runs)) > 1,
@@ -122,7 +120,3 @@ def _template_variables(
         "parameters": parameters,
         "dark": DARK,
     }
-
-
-def _template_text(name: str) -> str:
-    return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")

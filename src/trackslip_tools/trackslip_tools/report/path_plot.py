@@ -137,7 +137,8 @@ def _path_source(run: Run, path: Path, samples: int) -> ColumnDataSource:
 def ellipses(states: States) -> FloatArray:
     """(k, 33, 2) closed 2σ outlines of the position, evenly spread over the samples."""
     indices = _spread_indices(len(states.path.stamps_ns), _ELLIPSES)
-    return plan_shapes.ellipses(states.path.poses[indices, :2], states.pose_covariances[indices, :2, :2])
+    covariances = states.rows["pose_covariance"][indices, :2, :2]
+    return plan_shapes.ellipses(states.path.poses[indices, :2], covariances)
 
 
 def boxes(run: Run) -> FloatArray:

@@ -215,10 +215,9 @@ def visible_range(panel: Panel) -> tuple[float, float]:
             low, high = np.percentile(values, _VALUE_PERCENTILES)
             lows, highs = [*lows, low], [*highs, high]
         for edge in curve.band or ():
-            middle = (
-                np.percentile(edge[np.isfinite(edge)], _BAND_PERCENTILES) if np.isfinite(edge).any() else ()
-            )
-            lows, highs = [*lows, *middle], [*highs, *middle]
+            if np.isfinite(edge).any():
+                middle = np.percentile(edge[np.isfinite(edge)], _BAND_PERCENTILES)
+                lows, highs = [*lows, *middle], [*highs, *middle]
     if panel.logarithmic:
         low, high = max(min(lows), 1e-3), max(max(highs), 10.0)
         low, high = low / 1.5, 1.5 * high

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.topics import FORCES, SOIL, TRUE_ODOMETRY, TRUE_SLIP, TRUE_SOIL
 from trackslip_tools.report.panel import BLUE, ORANGE, Form, sigma_band
 
@@ -27,31 +27,34 @@ class Quantity(NamedTuple):
 
     title: str
     axis: str
-    estimate: str  # columns of the estimates, (…, k)
+    estimate: str  # field of ``ESTIMATE``, (…, k)
     covariance: str  # (…, k, k)
     column: int
     truth: str  # topic
     true_column: str
     scale: float = 1.0
 
-    def values_with_band(self, columns: Columns) -> tuple[FloatArray, Band]:
+    def values_with_band(self, columns: Columns | Rows) -> tuple[FloatArray, Band]:
         """Values (…) and ±2σ."""
         values = self.scale * np.asarray(columns[self.estimate])[..., self.column]
         variances = np.asarray(columns[self.covariance])[..., self.column, self.column]
         return values, sigma_band(values, self.scale * np.sqrt(variances))
 
 
+_SLIPS, _TWIST = ("slips", "slip_covariance"), ("twist", "twist_covariance")
 QUANTITIES = (
-    Quantity(
-        "Slip of the left track", "slip, %", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip", PERCENT
-    ),
-    Quantity(
-        "Slip of the right track", "slip, %", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip", PERCENT
-    ),
-    Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", DEGREES),
-    Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
-    Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", DEGREES),
+    Quantity("Slip of the left track", "slip, %", *_SLIPS, 0, TRUE_SLIP, "left_slip", PERCENT),
+    Quantity("Slip of the right track", "slip, %", *_SLIPS, 1, TRUE_SLIP, "right_slip", PERCENT),
+    Quantity("Slip angle", "angle, °", *_SLIPS, 2, TRUE_SLIP, "slip_angle", DEGREES),
+    Quantity("Speed", "v_x, m/s", *_TWIST, 0, TRUE_ODOMETRY, "v_x"),
+    Quantity("Yaw rate", "rate, °/s", *_TWIST, 2, TRUE_ODOMETRY, "yaw_rate", DEGREES),
 )
+
+
+def classes_of(message: Any) -> dict[str, float]:
+    """Soil → probability, of a SoilEstimate; empty if names and probabilities differ in number."""
+    names, chances = list(message.class_names), [float(p) for p in message.class_probabilities]
+    return dict(zip(names, chances, strict=True)) if len(names) == len(chances) else {}
 
 
 class FieldCurve(NamedTuple):

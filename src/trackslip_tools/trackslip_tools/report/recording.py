@@ -139,11 +139,12 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
             name = names[topic]
             logged[name].append(table.log_times_ns)
             if name in numbers:
-                numbers[name].add_table(table)
+                numbers[name].add(table)
             elif name == SCAN and table.type_name == TOPICS[SCAN].type_name:
                 scans.add(table)
             elif name == DIAGNOSTICS and table.type_name == TOPICS[DIAGNOSTICS].type_name:
-                _add_lights(lights, table, bag.start_ns)
+                for k, now_s in enumerate(_seconds(table.log_times_ns, bag.start_ns).tolist()):
+                    lights.add(table.message(k), now_s)
     none = [np.empty(0, np.int64)]
     times = {name: np.concatenate(none + logged.pop(name)) for name in sorted(logged)}
     laser, points = scans.view()
@@ -162,11 +163,6 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
         lights=lights.intervals(stop_s),
         events=lights.events,
     )
-
-
-def _add_lights(lights: LightLog, table: TopicTable, start_ns: int) -> None:
-    for k, now_s in enumerate(_seconds(table.log_times_ns, start_ns).tolist()):
-        lights.add(table.message(k), now_s)
 
 
 class _Scans:
@@ -201,11 +197,8 @@ def _scan_points(scan: Any, laser_yaw: float) -> FloatArray:
     ranges = np.asarray(scan.ranges[:_MOST_RANGES], dtype=np.float64)
     with np.errstate(invalid="ignore"):
         angles = laser_yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    is_valid = (
-        (ranges > scan.range_min)
-        & (ranges < min(scan.range_max, _MAX_RANGE))
-        & (np.abs(angles) < _MOST_TURNS)
-    )
+    is_valid = (ranges > scan.range_min) & (ranges < min(scan.range_max, _MAX_RANGE))
+    is_valid &= np.abs(angles) < _MOST_TURNS
     angles, ranges = angles[is_valid], ranges[is_valid]
     return np.asarray(ranges[:, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
 

@@ -5,12 +5,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_common.arrays import BoolArray, FloatArray, IntArray, Rows
-from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.arrays import BoolArray, Rows
 from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -18,28 +18,23 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.scoring import path_of
 from trackslip_tools.replay.series import sort_by_stamp
-from trackslip_tools.replay.soil_output import soil_messages
+from trackslip_tools.replay.soil import force_rows, soil_rows
 from trackslip_tools.report.details import Details
-from trackslip_tools.report.numbers import Numbers, NumbersCollector
+from trackslip_tools.report.numbers import Numbers, make_numbers
 from trackslip_tools.report.recording import Recording
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """The published estimates as arrays."""
+    """Estimates by stamp, and their path."""
 
-    path: Path  # (n,) stamps and poses
-    pose_covariances: FloatArray  # (n, 3, 3)
-    twists: FloatArray  # (n, 3) v_x m/s, v_y m/s, yaw rate rad/s
-    twist_covariances: FloatArray  # (n, 3, 3)
-    slips: FloatArray  # (n, 3) left, right, slip angle rad
-    slip_covariances: FloatArray  # (n, 3, 3)
-    motion: IntArray  # (n,) value of ``Motion``
+    rows: Rows  # (n,) ESTIMATE
+    path: Path  # (n,) stamps and poses, with continuous heading
 
     @property
     def is_moving(self) -> BoolArray:
         """(n,) whether slips are defined: not at standstill."""
-        return np.asarray(self.motion != Motion.STANDING)
+        return np.asarray(self.rows["motion"] != Motion.STANDING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +53,29 @@ class Run:
     def states(self) -> States | None:
         """States of the filter; None if nothing could start it."""
         estimates = sort_by_stamp(self.details.estimates)
-        return _make_states(estimates) if len(estimates) else None
+        return States(estimates, path_of(estimates)) if len(estimates) else None
 
     @cached_property
     def smoothed_states(self) -> States | None:
         """States of the smoother; None if not requested, or if nothing could start it."""
-        return _make_states(self.smoothed) if self.smoothed is not None and len(self.smoothed) else None
+        if self.smoothed is None or not len(self.smoothed):
+            return None
+        return States(self.smoothed, path_of(self.smoothed))
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
         """Forces and soil by topic: of the replay if it computed them, else of the bag."""
-        kinds = {FORCES: ForceFields, SOIL: SoilFields}
-        collectors = {topic: NumbersCollector(kind, self.recording.zero_ns) for topic, kind in kinds.items()}
-        for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
-            if topic in collectors:
-                collectors[topic].add(message)
-        replayed = {topic: collector.numbers() for topic, collector in collectors.items() if len(collector)}
+        soil, start_ns = self.replay.soil, self.recording.zero_ns
+        if soil is None:
+            return self.recording.numbers
+        replayed = {}
+        forces = soil.forces[np.argsort(soil.forces["stamp_ns"], kind="stable")]
+        states = sorted(soil.states, key=attrgetter("stamp_ns"))
+        if len(forces):
+            replayed[FORCES] = make_numbers(force_rows(forces), start_ns)
+        if states:
+            classes, reason = [state.classes for state in states], states[-1].strength.reason
+            replayed[SOIL] = make_numbers(soil_rows(states), start_ns, classes, reason)
         return self.recording.numbers | replayed
 
 
@@ -97,18 +99,6 @@ def _start_of_driving_ns(run: Run) -> int:
     """Stamp of the first estimate that drives; without one, the origin of the recording."""
     if run.states is None:
         return run.recording.zero_ns
-    is_driving = np.isin(run.states.motion, (Motion.STRAIGHT, Motion.TURNING))
+    is_driving = np.isin(run.states.rows["motion"], (Motion.STRAIGHT, Motion.TURNING))
     first = run.states.path.stamps_ns[is_driving][:1]
     return int(first[0]) if len(first) else run.recording.zero_ns
-
-
-def _make_states(estimates: Rows) -> States:
-    return States(
-        path_of(estimates),
-        estimates["pose_covariance"],
-        estimates["twist"],
-        estimates["twist_covariance"],
-        estimates["slips"],
-        estimates["slip_covariance"],
-        estimates["motion"],
-    )

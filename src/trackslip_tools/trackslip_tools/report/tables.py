@@ -10,15 +10,9 @@ from trackslip_common.parameters import Parameters, flat_fields, to_flat
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.report.events import MAX_EVENTS, Event
-from trackslip_tools.report.panel import COLOURS
 from trackslip_tools.report.run import Run
 
 Row = tuple[str, ...]
-
-
-def run_facts(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """Facts of each run for the head of the page."""
-    return [_run_facts(run, COLOURS[index]) for index, run in enumerate(runs)]
 
 
 def event_rows(events: Sequence[Event]) -> list[Row]:
@@ -34,11 +28,7 @@ def topic_rows(run: Run) -> list[Row]:
     rows: list[Row] = []
     for name, timing in run.recording.timings.items():
         usual = 1.0 / timing.period if timing.period else math.nan
-        rates = (
-            _number(usual, ".2f"),
-            _number(timing.rate, ".2f"),
-            _number(100.0 * timing.lost_share, ".2f"),
-        )
+        rates = (_number(value, ".2f") for value in (usual, timing.rate, 100.0 * timing.lost_share))
         gaps = (str(len(timing.gaps)), _number(timing.longest_interval, ".3f"))
         rows.append((name, str(len(timing.times)), *rates, *gaps))
     return rows
@@ -81,17 +71,18 @@ def differing_rows(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if len(set(row[2:])) > 1]
 
 
-def _run_facts(run: Run, colour: str) -> dict[str, str]:
+def run_facts(run: Run, colour: str) -> dict[str, str]:
+    """Facts of a run for the head of the page."""
     recording, p = run.recording, run.parameters
     since_start_s = (recording.zero_ns - recording.start_ns) * 1e-9
-    part = (recording.start_s + since_start_s, recording.stop_s + since_start_s)
+    begin, end = recording.start_s + since_start_s, recording.stop_s + since_start_s
     start = datetime.fromtimestamp(recording.start_ns * 1e-9, tz=timezone.utc)
     return {
         "label": run.label,
         "colour": colour,
         "bag": recording.path,
         "date": f"{start:%Y-%m-%d %H:%M:%S} UTC",
-        "part": "{:g} to {:.1f} s".format(*part),
+        "part": f"{begin:g} to {end:.1f} s",
         "duration": f"{recording.stop_s - recording.start_s:.1f} s",
         "vehicle": p.vehicle.name,
         "filter": f"{p.filter}, model {p.model}",

@@ -3,6 +3,7 @@
 """Events of a run: motion, tracks in trouble, lost fixes, gate rejections, soils, diagnostics."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 
 import numpy as np
 
@@ -54,7 +55,7 @@ _STUCK_TRACK_STYLES = {
     int(TrackCondition.STALLED): Style(ORANGE, TROUBLE_TEXTS[TrackCondition.STALLED]),
     int(TrackCondition.STUCK): Style(AMBER, TROUBLE_TEXTS[TrackCondition.STUCK]),
 }
-_ONE_EXPLANATION, _SEVERAL_EXPLANATIONS = 1, 2
+_NO_EXPLANATION, _ONE_EXPLANATION, _SEVERAL_EXPLANATIONS = 0, 1, 2
 _EXPLANATION_STYLES = {
     _ONE_EXPLANATION: Style(GREEN, "explained"),
     _SEVERAL_EXPLANATIONS: Style(AMBER, "explanations compete"),
@@ -67,7 +68,8 @@ def motion_intervals(run: Run) -> list[StateInterval]:
     """Intervals of standstill, straight and turning motion: states of ``Motion``."""
     if run.states is None:
         return []
-    return state_intervals(run.recording.seconds(run.states.path.stamps_ns), run.states.motion)
+    rows = run.states.rows
+    return state_intervals(run.recording.seconds(rows["stamp_ns"]), rows["motion"])
 
 
 def stuck_track_intervals(run: Run) -> dict[str, list[StateInterval]]:
@@ -103,35 +105,28 @@ def measured_interval(run: Run) -> StateInterval:
 
 def explanation_intervals(run: Run) -> list[StateInterval]:
     """Intervals with one explanation or several competing ones, with their texts."""
-    intervals: list[StateInterval] = []
-    group: list[CompetingExplanations] = []
-    for competing in run.details.explanations:
-        if group and _explanation_state(competing) != _explanation_state(group[0]):
-            intervals += _explanation_interval(run, group, competing.stamp_ns)
-            group = []
-        group.append(competing)
-    return intervals + (_explanation_interval(run, group, group[-1].stamp_ns) if group else [])
+    groups = [list(group) for _, group in groupby(run.details.explanations, _explanation_state)]
+    ends_ns = [group[0].stamp_ns for group in groups[1:]] + [group[-1].stamp_ns for group in groups[-1:]]
+    return [
+        _explanation_interval(run, group, end_ns)
+        for group, end_ns in zip(groups, ends_ns, strict=True)
+        if group[0].number_competing
+    ]
 
 
 def _explanation_state(competing: CompetingExplanations) -> tuple[int, str]:
     """State and text that distinguish one interval from the next, without numbers in the text."""
-    if competing.number_competing > 1:
-        return _SEVERAL_EXPLANATIONS, ""
-    return competing.number_competing, mask_numbers(
-        competing.explanations[0].text
-    ) if competing.number_competing else ""
+    if competing.number_competing == 1:
+        return _ONE_EXPLANATION, mask_numbers(competing.explanations[0].text)
+    return (_SEVERAL_EXPLANATIONS if competing.number_competing else _NO_EXPLANATION), ""
 
 
-def _explanation_interval(
-    run: Run, group: Sequence[CompetingExplanations], end_ns: int
-) -> list[StateInterval]:
-    """(1,) interval of a group, or (0,) without a contradiction; its text is that of the group's middle."""
-    if not group[0].number_competing:
-        return []
+def _explanation_interval(run: Run, group: Sequence[CompetingExplanations], end_ns: int) -> StateInterval:
+    """Interval of a group that competes; its text is that of the group's middle."""
     start, stop = run.recording.seconds(np.array((group[0].stamp_ns, end_ns))).tolist()
     explanations = group[len(group) // 2].explanations
     text = sentence(explanations, stop - start) if len(explanations) > 1 else explanations[0].text
-    return [StateInterval(start, stop, _explanation_state(group[0])[0], text)]
+    return StateInterval(start, stop, _explanation_state(group[0])[0], text)
 
 
 def stuck_tracks_text(intervals: Mapping[str, Sequence[StateInterval]]) -> str:
@@ -165,11 +160,9 @@ def strips(runs: Sequence[Run]) -> list[Strip]:
         for side, intervals in stuck_track_intervals(run).items():
             rows[f"{side} track"] = bars(intervals, _STUCK_TRACK_STYLES)
         rows |= {source: bars(intervals, _LOST_STYLES) for source, intervals in loss_intervals(run).items()}
-        rows |= (
-            {"explanations": bars(explanations, _EXPLANATION_STYLES)}
-            if (explanations := explanation_intervals(run))
-            else {}
-        )
+        explanations = explanation_intervals(run)
+        if explanations:
+            rows["explanations"] = bars(explanations, _EXPLANATION_STYLES)
         if any(rows.values()):
             strips_of_runs.append(Strip(plot_title(runs, run, "Motion, tracks in trouble, lost fixes"), rows))
     for run in first_runs_of_bags(runs):
@@ -200,15 +193,15 @@ def _message_bars(timing: Timing) -> list[Bar]:
 
 def events_of(run: Run) -> list[Event]:
     """All events by time (ms); ``number`` is unused."""
-    replayed = (
+    events = (
         *_stuck_track_events(run),
         *_lost_fix_events(run),
         *_silence_events(run),
         *_rejection_events(run),
         *_explanation_events(run),
         *_soil_events(run),
+        *_fold_start_and_stop(run),
     )
-    events = [*replayed, *_fold_start_and_stop(run)]
     return sorted(events, key=lambda event: event.time_ms)
 
 
@@ -222,11 +215,9 @@ def _fold_start_and_stop(run: Run) -> list[Event]:
     between = [event for event in run.recording.events if event not in (*begin, *end)]
     folded = []
     for group, word in ((begin, "start-up"), (end, "shut-down")):
-        folded += (
-            [group[0]._replace(level=Level.OK, text=f"{word}: {len(group)} reports of nodes")]
-            if group[1:]
-            else group
-        )
+        if len(group) > 1:
+            group = [group[0]._replace(level=Level.OK, text=f"{word}: {len(group)} reports of nodes")]
+        folded += group
     return [*folded, *between]
 
 
@@ -269,13 +260,10 @@ def _rejection_events(run: Run) -> Iterator[Event]:
         for group in np.split(times, np.flatnonzero(np.diff(times) > _GROUP_GAP_S) + 1):
             if len(group):
                 text = f"gate rejects {len(group)} of {source} within {np.ptp(group):.1f} s"
-                is_near = (times_of_source > group[0] - _GROUP_GAP_S) & (
-                    times_of_source < group[-1] + _GROUP_GAP_S
-                )
-                share = len(group) / max(int(is_near.sum()), 1)
-                yield _make_event(
-                    float(group[0]), Level.WARN if share > _MAX_REJECTED_SHARE else Level.OK, text
-                )
+                begin, end = group[0] - _GROUP_GAP_S, group[-1] + _GROUP_GAP_S
+                near = ((times_of_source > begin) & (times_of_source < end)).sum()
+                level = Level.WARN if len(group) / max(int(near), 1) > _MAX_REJECTED_SHARE else Level.OK
+                yield _make_event(float(group[0]), level, text)
 
 
 def _explanation_events(run: Run) -> Iterator[Event]:
@@ -296,6 +284,5 @@ def _soil_events(run: Run) -> list[Event]:
         return []
     events = Events()
     for k, at_s in enumerate(numbers.times.tolist()):
-        classes = {name: float(p[k]) for name, p in numbers.classes.items() if np.isfinite(p[k])}
-        events.add_soil_change(classes, at_s, 1e3 * at_s)
+        events.add_soil_change(numbers.classes_at(k), at_s, 1e3 * at_s)
     return list(events.recent)

@@ -99,22 +99,19 @@ def smooth_bag(
     measurements, series = read_sorted_inputs(bag, p, filters, requested, detailed)
     truth = _TruthReader(series, reference)
     filter_errors, smoother_errors = (_EstimateErrors(p.vehicle.kinematics.tread) for _ in range(2))
-    count, stamps_ns = 0, [0, 0]
+    count = first_ns = last_ns = 0
     for block in smoothed_blocks(measurements, p):
         if not len(block.smoothed):
             continue
-        stamps_ns = [
-            stamps_ns[0] if count else int(block.smoothed["stamp_ns"][0]),
-            int(block.smoothed["stamp_ns"][-1]),
-        ]
+        stamps_ns = block.smoothed["stamp_ns"]
+        first_ns, last_ns = first_ns if count else int(stamps_ns[0]), int(stamps_ns[-1])
         count += len(block.smoothed)
-        rows = truth.read_until(stamps_ns[1])
+        rows = truth.read_until(last_ns)
         filter_errors.add(block.filtered, rows)
         smoother_errors.add(block.smoothed, rows)
         watch(block)
-    errors = filter_errors.errors(), smoother_errors.errors()
-    duration_s = (stamps_ns[1] - stamps_ns[0]) * 1e-9
-    return SmoothedBag(count, duration_s, reference, *errors)
+    duration_s = (last_ns - first_ns) * 1e-9
+    return SmoothedBag(count, duration_s, reference, filter_errors.errors(), smoother_errors.errors())
 
 
 def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[Smoothed]:

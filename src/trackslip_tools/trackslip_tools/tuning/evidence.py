@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from trackslip_common.config_files import unflatten
+from trackslip_common.errors import printable
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.cli.outputs import make_folder, write_file
@@ -36,10 +37,10 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
         InputError: the folder cannot be written.
     """
     values = to_flat(change_parameters(p, tuning.values))
-    tuned_values = {
-        full_name: values[full_name] for name in tuning.values for full_name in matching_names(p, name)
-    }
-    text = f"{FILE_PREFIXES[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
+    names = [full_name for name in tuning.values for full_name in matching_names(p, name)]
+    tuned_values = {name: values[name] for name in names}
+    bags = ", ".join(printable(bag, len(bag)) for bag in tuning.bags)
+    text = f"{FILE_PREFIXES[PARAMETERS]} on {bags}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(tuned_values)}}, sort_keys=False)
     make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
@@ -65,18 +66,11 @@ def numbers(tuning: Tuning) -> dict[str, Any]:
 
 def table(tuning: Tuning) -> str:
     """Markdown tables: the values, then the scores of each bag before, after and when left out."""
-    ranges = {
-        name: [fold.values[name] for fold in tuning.folds] or [value] for name, value in tuning.values.items()
-    }
-    values = [
-        [
-            name,
-            f"{tuning.values_before[name]:.4g}",
-            f"{value:.4g}",
-            f"{min(ranges[name]):.4g} to {max(ranges[name]):.4g}" if tuning.folds else "",
-        ]
-        for name, value in tuning.values.items()
-    ]
+    values = []
+    for name, value in tuning.values.items():
+        left_out = [fold.values[name] for fold in tuning.folds]
+        range_ = f"{min(left_out):.4g} to {max(left_out):.4g}" if left_out else ""
+        values.append([name, f"{tuning.values_before[name]:.4g}", f"{value:.4g}", range_])
     sources = sorted({source for score in tuning.before for source in score.nis})
     rows = []
     unseen = {fold.bag: fold.score for fold in tuning.folds}
@@ -95,14 +89,8 @@ def table(tuning: Tuning) -> str:
     bags = "Bags that were left out" if tuning.folds else "Bags"
     negation = "" if tuning.improves_unseen else "not "
     notes += f"\n\n{bags} are {negation}better off on average."
-    parts = (
-        *markdown_table(["parameter", "before", "after", "without one bag"], values, 1),
-        "",
-        *markdown_table(heading, rows, 2),
-        "",
-        notes,
-    )
-    return "\n".join(parts)
+    first = markdown_table(["parameter", "before", "after", "without one bag"], values, 1)
+    return "\n".join([*first, "", *markdown_table(heading, rows, 2), "", notes])
 
 
 def _score_cells(score: Score, sources: Sequence[str]) -> list[str]:

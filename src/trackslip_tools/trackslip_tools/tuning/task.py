@@ -162,9 +162,8 @@ class _Innovations:
         is_measured = updates["dof"] > 0
         sources, measured_updates = sources[is_measured], updates[is_measured]
         dof, nis = measured_updates["dof"], measured_updates["nis"]
-        normal = -0.5 * (
-            nis + measured_updates["log_determinant"] + dof * math.log(2.0 * math.pi)
-        ) + math.log1p(-_OUTLIER_SHARE)
+        normal = -0.5 * (nis + measured_updates["log_determinant"] + dof * math.log(2.0 * math.pi))
+        normal += math.log1p(-_OUTLIER_SHARE)
         normal[np.isnan(normal)] = -np.inf
         self._likelihood += float(np.sum(np.logaddexp(normal, np.log(_OUTLIER_SHARE * _DENSITIES)[dof])))
         self._count += len(dof)
