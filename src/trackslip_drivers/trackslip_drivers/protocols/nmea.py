@@ -154,18 +154,6 @@ def read_sentence(line: bytes) -> Sentence | Rejection:
     return Sentence(talker, kind, reading)
 
 
-def decode(line: bytes) -> Reading | Rejection | None:
-    """The reading of one line without its end; None for an unused kind of sentence.
-
-    Bytes before the last ``$`` are ignored: noise, or a binary message on the same line.
-    """
-    _, start, content = line.rpartition(b"$")
-    if not start:
-        return Rejection.NOT_NMEA
-    sentence = read_sentence(b"$" + content)
-    return sentence.reading if isinstance(sentence, Sentence) else sentence
-
-
 def yaw_of_heading(heading: float) -> float:
     """ψ in (−π, π] of h in °."""
     return math.pi - math.radians((heading + 90.0) % 360.0)
