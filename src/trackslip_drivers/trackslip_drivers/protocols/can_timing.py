@@ -13,11 +13,12 @@ not enter. Without a counter it is the difference of stamps.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from itertools import accumulate
 from typing import NamedTuple
 
+from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_cycle import PROMPT_TOLERANCE, CycleMeter
 from trackslip_drivers.stamping import PeriodicStamps
@@ -38,9 +39,6 @@ class TimingEvent(Enum):
     ALIVE_REPEATED = "alive counter repeated"
     BURST = "arrived in a burst"
     CUT_OFF = "waited for the next while the bus was reopened"
-
-
-Report = Callable[[TimingEvent, int], None]  # event, and number of frames
 
 
 class Frame(NamedTuple):
@@ -72,14 +70,14 @@ class FrameTiming(ABC):
 
     Args:
         nominal_ns: the DBC's cycle; 0: not given.
-        report: called with each event and the number of frames.
+        tally: counts events, under ``name``.
         name, source: of the frames.
     """
 
-    def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
-        self._name, self._source = name, source
+    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int) -> None:
+        self.name, self.source = name, source
         self._meter = CycleMeter(nominal_ns)
-        self._report = report
+        self._tally = tally
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
         self._seen_ns = 0  # arrival of the last frame seen
         self._stamp_ns = 0  # stamp of the last frame returned
@@ -107,7 +105,7 @@ class FrameTiming(ABC):
         if self._accepted_ns is None:
             elapsed_ns = 0
         self._accepted_ns, self._stamp_ns = arrival_ns, stamp_ns
-        return Frame(self._name, self._source, stamp_ns, max(elapsed_ns, 0), values)
+        return Frame(self.name, self.source, stamp_ns, max(elapsed_ns, 0), values)
 
     def _stamp(self, arrival_ns: int, cycles: int | None) -> int:
         """The arrival with its jitter filtered out, ns."""
@@ -127,12 +125,12 @@ class CountedFrames(FrameTiming):
     """Frames of a sender with a counter.
 
     Args:
-        nominal_ns, report, name, source: see ``FrameTiming``.
+        nominal_ns, tally, name, source: see ``FrameTiming``.
         modulus: of the counter.
     """
 
-    def __init__(self, nominal_ns: float, modulus: int, report: Report, name: str, source: int) -> None:
-        super().__init__(nominal_ns, report, name, source)
+    def __init__(self, nominal_ns: float, modulus: int, tally: Tally, name: str, source: int) -> None:
+        super().__init__(nominal_ns, tally, name, source)
         self._modulus = modulus
         self._count: int | None = None
         self._held: list[_HeldFrame] = []
@@ -141,7 +139,7 @@ class CountedFrames(FrameTiming):
         """Also drop the frames held, and report them."""
         super().resume()
         if self._held:
-            self._report(TimingEvent.CUT_OFF, len(self._held))
+            self._tally.add(self.name, TimingEvent.CUT_OFF, len(self._held))
         self._held, self._count = [], None
 
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
@@ -166,7 +164,7 @@ class CountedFrames(FrameTiming):
         elif cycles:
             timed.append(self._accept_frame(arrival_ns, values, count, cycles))
         else:
-            self._report(TimingEvent.ALIVE_REPEATED, 1)
+            self._tally.add(self.name, TimingEvent.ALIVE_REPEATED)
         return timed
 
     def _cycles_since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
@@ -196,7 +194,7 @@ class CountedFrames(FrameTiming):
             if held.cycles or turns:
                 timed.append(self._accept_frame(*held.frame, held.cycles + turns * self._modulus))
             else:
-                self._report(TimingEvent.ALIVE_REPEATED, 1)
+                self._tally.add(self.name, TimingEvent.ALIVE_REPEATED)
             turns = 0
         self._held = []
         return timed
@@ -204,7 +202,7 @@ class CountedFrames(FrameTiming):
     def _accept_frame(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
         """Time a frame ``cycles`` after the previous one (0: unknown); reports frames lost between."""
         if cycles > 1:
-            self._report(TimingEvent.LOST, cycles - 1)
+            self._tally.add(self.name, TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
             self._meter.add(arrival_ns - self._accepted_ns, cycles)
         self._count, self._seen_ns = count, arrival_ns
@@ -214,15 +212,15 @@ class CountedFrames(FrameTiming):
 class UncountedFrames(FrameTiming):
     """Frames of a sender without a counter."""
 
-    def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
-        super().__init__(nominal_ns, report, name, source)
+    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int) -> None:
+        super().__init__(nominal_ns, tally, name, source)
         self._held: _Arrival | None = None
 
     def resume(self) -> None:
         """Also drop the frame held, and report it."""
         super().resume()
         if self._held:
-            self._report(TimingEvent.CUT_OFF, 1)
+            self._tally.add(self.name, TimingEvent.CUT_OFF)
         self._held = None
 
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
@@ -234,7 +232,7 @@ class UncountedFrames(FrameTiming):
         self._meter.add(since_ns, 1)
         cycle_ns = self._meter.cycle_ns
         if cycle_ns and 0 <= since_ns < PROMPT_TOLERANCE * cycle_ns:
-            self._report(TimingEvent.BURST, 1)
+            self._tally.add(self.name, TimingEvent.BURST)
             if self._held:
                 self._held = frame
             return []
