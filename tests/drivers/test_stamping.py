@@ -95,12 +95,13 @@ class Clocks:
         self.time = HostTime(self.offset_ns, self.steady_ns)
         self.order = MonotonicStamps()
         self.stamps = []
+        self.jumps = 0
 
     def run(self, seconds, slew=0.0):
         for _ in range(round(seconds * 100)):
             self.steady_ns += PERIOD
             self.offset_ns += round(slew * PERIOD)
-            self.time.update_offset(self.steady_ns + self.offset_ns, self.steady_ns)
+            self.jumps += self.time.update_offset(self.steady_ns + self.offset_ns, self.steady_ns)
             arrival = self.time.steady_time(
                 self.steady_ns + self.offset_ns - MS, (self.steady_ns - PERIOD, self.steady_ns)
             )
@@ -118,7 +119,7 @@ def test_clock_jump_is_detected_and_stamps_stay_in_order(jump_s):
     clocks.run(1.0)
     clocks.offset_ns += round(jump_s * S)
     clocks.run(1.0)
-    assert clocks.time.jumps == 1
+    assert clocks.jumps == 1
     steps = np.diff(clocks.stamps)
     assert (steps > 0).all()
     assert (np.delete(steps, 99) == PERIOD).all()  # all steps except the one across the clock jump
@@ -133,7 +134,7 @@ def test_slewed_clock_is_followed_without_a_jump():
     for slew in (-5e-4, 5e-4):
         clocks = Clocks()
         clocks.run(100.0, slew)
-        assert clocks.time.jumps == 0
+        assert clocks.jumps == 0
         assert clocks.ahead() == 0
 
 
