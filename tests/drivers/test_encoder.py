@@ -17,19 +17,15 @@ PER_COUNT = 2.0 * math.pi / (3 * COUNTS)
 class Encoder:
     """A ``SprocketEncoder`` whose time is given in cycles."""
 
-    def __init__(self, window, max_speed):
-        self._unit = SprocketEncoder(PER_COUNT, COUNTS, max_speed, window)
+    def __init__(self, window=5):
+        self._unit = SprocketEncoder(PER_COUNT, COUNTS, 5.0, window)
 
     def update(self, count, cycles):
         return self._unit.update(count, round(cycles * CYCLE_S * 1e9))
 
 
-def encoder(window=5, max_speed=5.0):
-    return Encoder(window, max_speed)
-
-
 def test_positions_wrap_in_both_directions():
-    unit = encoder()
+    unit = Encoder()
     assert unit.update(4090, 0) is EncoderEvent.STARTED
     forward = unit.update(4, 1)
     assert isinstance(forward, Motion)
@@ -41,7 +37,7 @@ def test_positions_wrap_in_both_directions():
 
 
 def test_gap_shorter_than_half_a_turn_is_bridged():
-    unit = encoder()
+    unit = Encoder()
     unit.update(0, 0)
     motion = unit.update(1900, 20)  # 0.2 s at 4.86 rad/s
     assert isinstance(motion, Motion)
@@ -50,7 +46,7 @@ def test_gap_shorter_than_half_a_turn_is_bridged():
 
 
 def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
-    unit = encoder()
+    unit = Encoder()
     unit.update(100, 0)
     unit.update(150, 1)
     assert unit.update(3000, 21) is EncoderEvent.RESTARTED  # 2850 or -1246 counts; 630 expected
@@ -66,7 +62,7 @@ def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
 @pytest.mark.parametrize("gap", [25, 30, 45, 60])
 def test_silence_neither_adds_nor_loses_motion(speed, gap):
     """At constant and at steadily decreasing speed; the position after the silence is the true one."""
-    unit, position, cycle = encoder(), 7.0, 0
+    unit, position, cycle = Encoder(), 7.0, 0
     last = None
     for k in range(40):
         cycles = gap if k == 20 else 1
@@ -82,7 +78,7 @@ def test_silence_neither_adds_nor_loses_motion(speed, gap):
 
 
 def test_a_silence_of_seconds_is_not_bridged():
-    unit = encoder()
+    unit = Encoder()
     for k in range(10):
         unit.update(40 * k, 1)
     unit.update(2000, 200)
@@ -90,7 +86,7 @@ def test_a_silence_of_seconds_is_not_bridged():
 
 
 def test_a_single_jump_is_dropped_and_a_persistent_one_restarts():
-    unit = encoder()
+    unit = Encoder()
     unit.update(0, 0)
     assert unit.update(2000, 1) is EncoderEvent.JUMP
     motion = unit.update(4, 1)
@@ -112,7 +108,7 @@ def test_velocity_variance_is_as_stated(window):
     for _ in range(4000):
         speed = rng.uniform(-4.0, 4.0)
         position = rng.uniform(0.0, 1e3) + speed * CYCLE_S * np.arange(window)
-        unit = encoder(window)
+        unit = Encoder(window)
         for k, value in enumerate(position):
             motion = unit.update(math.floor(value / PER_COUNT) % COUNTS, min(k, 1))
         assert isinstance(motion, Motion)

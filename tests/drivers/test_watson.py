@@ -25,19 +25,14 @@ from trackslip_drivers.protocols.watson_stream import FIELD, IMU, WatsonStream
 
 SIX = ["XA", "YA", "ZA", "XR", "YR", "ZR"]
 SIX_FORMATS = ["+0.00"] * 3 + ["+000.0"] * 3
+AHRS_VALUES = {"BK": 2.5, "EL": -5.0, "HG": 273.4, "XA": 1.02, "YA": 0.15, "ZA": -1.57}
+AHRS_VALUES |= {"XR": -0.4, "YR": 1.2, "ZR": 10.4, "VS": 1.4}
 AHRS = Layout(
-    ["BK", "EL", "HG", "XA", "YA", "ZA", "XR", "YR", "ZR", "VS"],
+    [*AHRS_VALUES],
     ["+000.0", "+00.0", "000.0", "+0.00", "+0.00", "+0.00", "+00.0", "+00.0", "+00.0", "+000.0"],
     [180, 180, 360, 10, 10, 10, 200, 200, 200, 800],
 )
 AHRS_LINE = b"I +002.5 -05.0 273.4 +1.02 +0.15 -1.57 -00.4 +01.2 +10.4 +001.4 "
-AHRS_VALUES = dict(
-    zip(
-        ["BK", "EL", "HG", "XA", "YA", "ZA", "XR", "YR", "ZR", "VS"],
-        (2.5, -5.0, 273.4, 1.02, 0.15, -1.57, -0.4, 1.2, 10.4, 1.4),
-        strict=True,
-    )
-)
 DMS = Layout(
     ["TM", "BK", "EL", "HG", *SIX[:3], "FA", "LA", "VA", *SIX[3:], "HR", "VS", "LT", "LN", "AL"],
     [
@@ -151,10 +146,10 @@ def test_rejections_are_counted_and_pass(line, reason):
     ],
 )
 def test_the_number_of_fields_is_reported(line, text):
-    stream = WatsonStream(LAYOUT, 9600, 0, Tally())
-    stream.feed(line + b"\r", 10**9)
-    (key,) = stream.tally.total
-    assert stream.tally.detail_or_reason(key) == text
+    parser = stream()
+    parser.feed(line + b"\r", 10**9)
+    (key,) = parser.tally.total
+    assert parser.tally.detail_or_reason(key) == text
 
 
 def test_invalid_magnetometer_drops_only_the_magnetic_field():
