@@ -264,13 +264,12 @@ def log_times() -> Family:
         "at_random": lambda t, k: begin + (t - begin) * 7919 * (k + 1) % (20 * _S),
     }
     for name, variant in variants.items():
+        yield f"log_times={name}", partial(_with_log_times, variant)
 
-        def made(folder: Path, variant: Callable[[int, int], int] = variant) -> Path:
-            return write(
-                (line._replace(log_ns=variant(line.log_ns, k)) for k, line in enumerate(lines)), folder
-            )
 
-        yield f"log_times={name}", made
+def _with_log_times(variant: Callable[[int, int], int], folder: Path) -> Path:
+    lines = enumerate(good())
+    return write((line._replace(log_ns=variant(line.log_ns, k)) for k, line in lines), folder)
 
 
 # --- lists, texts, bytes
@@ -281,8 +280,8 @@ def sequences() -> Family:
     long_name = "x" * 200_000
     for topic in (topic for topic in topics() if _type(topic) == "sensor_msgs/msg/JointState"):
         for name, count in (("none", 0), ("one", 1), ("three", 3), ("many", 5000)):
-            for what, resize in (("positions", _positions), ("velocities", _velocities), ("names", _names)):
-                change = partial(resize, count)
+            for what, field in (("positions", "position"), ("velocities", "velocity"), ("names", "name")):
+                change = partial(_resize, field, count)
                 for every in (1, 3):
                     bag = f"sequences{topic}={what} {name} each {every}"
                     yield bag, partial(_changed, topic, change, every)
@@ -301,16 +300,10 @@ def sequences() -> Family:
         yield f"diagnostics={name}", partial(_changed, "/diagnostics", partial(_statuses, text), 1)
 
 
-def _positions(count: int, message: Any, _: int) -> None:
-    message.position = np.resize(message.position, count)
-
-
-def _velocities(count: int, message: Any, _: int) -> None:
-    message.velocity = np.resize(message.velocity, count)
-
-
-def _names(count: int, message: Any, _: int) -> None:
-    message.name = (list(message.name) * count)[:count]
+def _resize(field: str, count: int, message: Any, _: int) -> None:
+    values = getattr(message, field)
+    is_text = field == "name"
+    setattr(message, field, (list(values) * count)[:count] if is_text else np.resize(values, count))
 
 
 def _one_name_twice(message: Any, _: int) -> None:
