@@ -80,16 +80,14 @@ class FrameSet:
             self.codecs[name] = self._make_codec(message, protection)
         self._ids = {name: _flagged_id(message) for name, message in self.by_name.items()}
         self._by_id = {identifier: self.codecs[name] for name, identifier in self._ids.items()}
-        self._by_group = {
-            _parameter_group(message.frame_id): self.codecs[name]
-            for name, message in self.by_name.items()
-            if message.protocol == "j1939" and message.is_extended_frame
-        }
-        self._by_group_without_j1939 = {
-            _parameter_group(message.frame_id): (name, message.frame_id)
-            for name, message in self.by_name.items()
-            if message.protocol != "j1939" and message.is_extended_frame
-        }
+        self._by_group: dict[int, Codec] = {}
+        self._by_group_without_j1939: dict[int, tuple[str, int]] = {}
+        for message in used:
+            group = _parameter_group(message.frame_id)
+            if message.is_extended_frame and message.protocol == "j1939":
+                self._by_group[group] = self.codecs[message.name]
+            elif message.is_extended_frame:
+                self._by_group_without_j1939[group] = message.name, message.frame_id
 
     def _make_codec(self, message: Message, protection: Protection) -> Codec:
         used = {one.signal for one in self.bindings.signal_ids() if one.frame == message.name}
@@ -106,11 +104,9 @@ class FrameSet:
 
     def find_other_source(self, arbitration_id: int) -> tuple[str, int] | None:
         """(name, DBC id) of the frame that differs only by source address or priority; None if none does."""
-        return (
-            self._by_group_without_j1939.get(_parameter_group(arbitration_id))
-            if arbitration_id < _EXTENDED
-            else None
-        )
+        if arbitration_id >= _EXTENDED:
+            return None
+        return self._by_group_without_j1939.get(_parameter_group(arbitration_id))
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame; ``values`` are in the DBC's units.
