@@ -302,7 +302,8 @@ def _large_array(writer: Writer) -> None:
 
 def _own_schema(writer: Writer, type_name: str) -> int:
     """Register the definition of a type of ours."""
-    return writer.register_schema(type_name, "ros2msg", own_schema(type_name).data)
+    schema: int = writer.register_schema(type_name, "ros2msg", own_schema(type_name).data)
+    return schema
 
 
 def _attachments(writer: Writer) -> None:
