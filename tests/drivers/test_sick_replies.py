@@ -25,14 +25,15 @@ SET_BAUD = commands.set_baud(38400)
 
 
 class Puppet:
-    """A session whose scanner is played by the test; the session finds it at 9600 Bd."""
+    """A session whose scanner is played by the test; ``baud``: rate at which the session finds it."""
 
-    def __init__(self, parameters: SickParameters = PLS) -> None:
+    def __init__(self, parameters: SickParameters = PLS, baud: int = 9600) -> None:
         self.session = SickSession(parameters, Tally())
         self.now_ns = EPOCH_NS
         self.baud = self.session.baud
-        while self.baud != 9600:
-            self.written = self.step(10)
+        self.step(10)
+        while self.baud != baud:
+            self.step(10)
 
     def step(self, wait_ms: int) -> bytes:
         self.now_ns += wait_ms * MS
@@ -102,19 +103,15 @@ def test_a_refusal_starts_it_again(accepted: int, ack: bytes, reply: tuple[bytes
 
 
 def test_a_refusal_to_stream_starts_it_again() -> None:
-    session = SickSession(PLS, Tally())
-    session.step(EPOCH_NS)
-    session.receive(b"\x06" + make_telegram(OK, FROM_SENSOR), EPOCH_NS + 30 * MS)
-    assert session.step(EPOCH_NS + 30 * MS).write == make_telegram(commands.STREAM_ALL, TO_SENSOR)
-    session.receive(b"\x15", EPOCH_NS + 60 * MS)
-    session.step(EPOCH_NS + 60 * MS)
-    assert session.phase is Phase.PROBING
-    assert session.tally.total["scan", SessionFault.REFUSED.value] == 1
+    puppet = Puppet(baud=38400)
+    assert puppet.answer(OK) == make_telegram(commands.STREAM_ALL, TO_SENSOR)
+    puppet.answer(ack=b"\x15")
+    assert puppet.session.phase is Phase.PROBING
+    assert puppet.count(SessionFault.REFUSED) == 1
 
 
 def test_unrequested_scans_are_counted() -> None:
-    session = SickSession(PLS, Tally())
-    session.step(EPOCH_NS)
+    session = Puppet(baud=38400).session
     scan = RawScan(np.full(361, 500, dtype=np.uint16), status=0)
     assert session.receive(make_telegram(scan.payload(), FROM_SENSOR), EPOCH_NS + 300 * MS) == []
     assert session.tally.total["scan", ScanFault.NOT_STREAMING.value] == 1
