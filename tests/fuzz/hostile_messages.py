@@ -139,25 +139,6 @@ NUMBERS: dict[str, float] = {
 }
 
 
-def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> None:
-    """Set every float of a message, nested ones too, or the one at a path, to ``value``.
-
-    In 32 bits it may become infinite.
-    """
-    if message.__msgtype__ == "sensor_msgs/msg/LaserScan":  # of float32
-        with np.errstate(over="ignore"):
-            value = float(np.float32(value))
-    for field in dataclasses.fields(message):
-        name, old = f"{at}.{field.name}", getattr(message, field.name)
-        if dataclasses.is_dataclass(old) and field.name != "stamp":
-            _with_numbers(old, value, only, name)
-        elif isinstance(old, float) and only in ("", name):
-            setattr(message, field.name, value)
-        elif isinstance(old, np.ndarray) and old.dtype.kind == "f" and only in ("", name):
-            with np.errstate(over="ignore"):
-                setattr(message, field.name, np.full_like(old, value))
-
-
 def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:
     """The valid recording with each ``every``-th message of a topic changed."""
     lines, number = [], 0
@@ -188,23 +169,31 @@ def contents() -> Family:
 def fields() -> Family:
     """One field in all messages of a topic."""
     for topic in stamped_topics():
-        for path in _floats(_message(first()[topic])):
+        for path, _, _ in _floats(_message(first()[topic])):
             for name in ("nan", "1e308", "1e30", "minus_1"):
                 change = partial(_set_numbers, NUMBERS[name], path)
                 yield f"field{topic}{path}={name}", partial(_changed, topic, change, 1)
 
 
 def _set_numbers(value: float, only: str, message: Any, _: int) -> None:
-    _with_numbers(message, value, only)
+    """Set every float of a message, nested ones too, or the one at a path; in 32 bits it may be infinite."""
+    with np.errstate(over="ignore"):
+        if message.__msgtype__ == "sensor_msgs/msg/LaserScan":  # of float32
+            value = float(np.float32(value))
+        for path, part, name in _floats(message):
+            if only in ("", path):
+                old = getattr(part, name)
+                setattr(part, name, value if isinstance(old, float) else np.full_like(old, value))
 
 
-def _floats(message: Any, at: str = "") -> Iterator[str]:
+def _floats(message: Any, at: str = "") -> Iterator[tuple[str, Any, str]]:
+    """Path, message that has it, and name of each field of floats."""
     for field in dataclasses.fields(message):
-        name, value = f"{at}.{field.name}", getattr(message, field.name)
+        path, value = f"{at}.{field.name}", getattr(message, field.name)
         if dataclasses.is_dataclass(value) and field.name != "stamp":
-            yield from _floats(value, name)
+            yield from _floats(value, path)
         elif isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
-            yield name
+            yield path, message, field.name
 
 
 # --- stamps
