@@ -29,31 +29,11 @@ ROS = re.compile(
 )
 # Libraries on a vehicle beside ROS: numbers, compiled code, parameters, ports and protocols, geodesy
 ON_VEHICLE = {
-    "numpy",
-    "scipy",
-    "numba",
-    "llvmlite",
-    "yaml",
-    "serial",
-    "can",
-    "cantools",
-    "pynmeagps",
-    "pyrtcm",
-    "pyubx2",
-    "pymap3d",
+    *("numpy", "scipy", "numba", "llvmlite", "yaml", "serial", "can", "cantools"),
+    *("pynmeagps", "pyrtcm", "pyubx2", "pymap3d"),
 }
-RECORDS = {
-    "average",
-    "c",
-    "config",
-    "known",
-    "load",
-    "measurement",
-    "p",
-    "sample",
-    "state",
-    "thrust",
-    "watch",
+RECORDS = {  # names of arguments
+    *("average", "c", "config", "known", "load", "measurement", "p", "sample", "state", "thrust", "watch"),
 }
 
 

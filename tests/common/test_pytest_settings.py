@@ -28,19 +28,9 @@ VERSIONS = {  # pytest → compatible plugins
 
 
 def collected(settings: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-c",
-        str(settings),
-        "--rootdir",
-        str(ROOT),
-        "--collect-only",
-        "-q",
-    ]
+    command = [sys.executable, "-m", "pytest", "-c", str(settings), f"--rootdir={ROOT}"]
     return subprocess.run(
-        [*command, "-p", "no:cacheprovider", *arguments],
+        [*command, "--collect-only", "-q", "-p", "no:cacheprovider", *arguments],
         cwd=ROOT,
         env={**os.environ, **environment},
         capture_output=True,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.config_files import read_yaml
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, show
 from trackslip_common.yaml_text import parse_yaml
 
 HOSTILE = {  # large texts, beside fixtures/damaged
@@ -40,7 +40,11 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("1e-3", 0.001), ("1.5e+6", 1.5e6), ("0x10", 16), ("-9223372036854775808", -(2**63)), ("no", False)],
+    [
+        *((text, 0.001) for text in ("1e-3", "1.0e-3", "1.e-3", "+.1E-2", "0.001")),
+        *(("1.5e+6", 1.5e6), ("0x10", 16), ("-9223372036854775808", -(2**63)), ("no", False)),
+        *((text, text) for text in ("1e", "e3", "1e3m", "+", "a1e3", "0x1e3g")),
+    ],
 )
 def test_values_are_read_as_ros_reads_them(text: str, value: object) -> None:
     assert parse_yaml(f"a: {text}", "text") == {"a": value}
@@ -50,3 +54,8 @@ def test_control_characters_in_errors_are_escaped() -> None:
     error = InputError('unknown parameter "\x1b]0;title\x07" and\nmore')
     assert str(error).isprintable()
     assert "\\x1b]0;title\\x07" in str(error)
+
+
+def test_shown_text_has_no_control_characters(capsys: pytest.CaptureFixture[str]) -> None:
+    show("a\x1b[2J\nb\x07", 3)
+    assert capsys.readouterr().out == "a\\x1b[2J\nb\\x07\n3\n"

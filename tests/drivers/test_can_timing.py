@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The measured cycle of a sender is correct on busy hosts and for senders that stall."""
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
 
+from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.can_cycle import CycleMeter
 from trackslip_drivers.protocols.can_timing import CountedFrames, TimingEvent, UncountedFrames
 
@@ -76,33 +76,33 @@ def test_cycle_is_measured_after_a_burst_of_100_frames():
 
 
 def counted(cycle_ns):
-    """A ``CountedFrames`` with a counter modulo 16, and the number of its reports of each event."""
-    events = Counter()
-    return CountedFrames(cycle_ns, 16, lambda event, times: events.update({event: times}), *SENDER), events
+    """A ``CountedFrames`` with a counter modulo 16, and its counts of each event."""
+    tally = Tally()
+    return CountedFrames(cycle_ns, 16, tally, *SENDER), tally
 
 
 @pytest.mark.parametrize("at_once", [2, 9, 12, 17, 40, 300])
 @pytest.mark.parametrize("nominal_ms", [0.0, 10.0])
 def test_burst_at_the_start_is_not_taken_for_the_cycle(nominal_ms, at_once):
     """The first frames wait on a busy host and are read together."""
-    timing, lost = counted(nominal_ms * MS)
+    timing, tally = counted(nominal_ms * MS)
     arrivals = np.arange(at_once + 600) * 10 * MS
     arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
     timed = [timing.add(k % 16, int(at), k) for k, at in enumerate(arrivals)]
-    assert lost == {}
+    assert not tally.total
     assert [frame.values for each in timed for frame in each] == list(range(len(arrivals)))
     assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
 
 
 def test_wrong_cycle_is_corrected():
     """Thousands of frames at once resemble a fast sender; a second of normal frames resets the cycle."""
-    timing, lost = counted(0.0)
+    timing, tally = counted(0.0)
     first = np.arange(2000) * 39_000
     arrivals = np.concatenate((first, first[-1] + np.arange(1, 400) * 10 * MS))
     for k, at in enumerate(arrivals):
         timing.add(k % 16, int(at), k)
     assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
-    assert lost[TimingEvent.LOST] < 110 * 256
+    assert tally.total["sprockets", "lost"] < 110 * 256
 
 
 def stalling_host(count, seed, interval_ms, longest_run_ms, longest_stall_ms):
@@ -134,24 +134,24 @@ def stalling_host(count, seed, interval_ms, longest_run_ms, longest_stall_ms):
 @pytest.mark.parametrize("seed", range(4))
 def test_backlog_of_a_stalled_host_is_not_taken_for_the_cycle(seed, host, max_off, max_lost):
     """The backlog arrives every 0.7 to 3 ms; the cycle is 10 ms."""
-    timing, lost = counted(10.0 * MS)
+    timing, tally = counted(10.0 * MS)
     arrivals = stalling_host(6000, seed, *host)
     timed = [frame for number, at in enumerate(arrivals) for frame in timing.add(number % 16, at, number)]
     elapsed = np.array([frame.elapsed_ns for frame in timed[1:]]) / np.diff([frame.values for frame in timed])
     off = np.count_nonzero(np.abs(elapsed / (10.0 * MS) - 1.0) > 0.5)
-    print(f"{off} of {len(timed)} off, {lost}")
+    print(f"{off} of {len(timed)} off, {tally.total}")
     assert off <= max_off  # where the next stall began before the backlog was read
-    assert lost[TimingEvent.LOST] <= max_lost
+    assert tally.total["sprockets", "lost"] <= max_lost
 
 
 def test_late_frame_after_a_gap_is_not_taken_for_a_stall():
     """76 frames are lost and the next one is 6 ms late: all 76 are counted, across wraps of the counter."""
-    timing, events = counted(10.0 * MS)
+    timing, tally = counted(10.0 * MS)
     timed = []
     for number in (*range(100), *range(176, 200)):
         late_ms = 6 if number == 176 else 0
         timed += timing.add(number % 16, (10 * number + late_ms) * MS, number)
-    assert events[TimingEvent.LOST] == 76
+    assert tally.total["sprockets", "lost"] == 76
     assert [frame.stamp_ns // MS - 10 * number_of(frame) for frame in timed] == [0] * 100 + [6] + [0] * 23
 
 
@@ -162,12 +162,12 @@ def number_of(frame: Any) -> int:
 
 def test_loss_followed_by_a_stall_counts_the_lost_frames():
     """76 frames are lost; the next ones are some cycles late and then catch up."""
-    timing, lost = counted(10.0 * MS)
+    timing, tally = counted(10.0 * MS)
     timed = []
     for number in (*range(100), *range(176, 220)):
         late = 1825.0 + 0.2 * (number - 176) if 176 <= number < 183 else 0.0
         timed += timing.add(number % 16, round(max(10.0 * number, late) * MS), number)
-    assert lost == {TimingEvent.LOST: 76}
+    assert tally.by_source() == {"sprockets": {"lost": 76}}
     assert (
         max(abs(frame.stamp_ns // MS - 10 * number_of(frame)) for frame in timed if number_of(frame) > 183)
         == 0
@@ -176,26 +176,19 @@ def test_loss_followed_by_a_stall_counts_the_lost_frames():
 
 def test_faster_sender_after_a_silence_is_not_held_back():
     """Frames less than half a cycle apart count as a burst only until they make up for the silence."""
-    timing = CountedFrames(10.0 * MS, 16, lambda *_: None, *SENDER)
+    timing, _ = counted(10.0 * MS)
     timed = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
     timed += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]
     assert sum(map(len, timed)) == 500
     assert max(len(each) for each in timed) < 100
 
 
-@pytest.mark.parametrize("modulus", [0, 16])
-def test_frames_held_back_at_a_reopening_are_counted(modulus):
-    events = Counter()
-
-    def report(event, times):
-        events[event] += times
-
-    timing = (
-        CountedFrames(10.0 * MS, modulus, report, *SENDER)
-        if modulus
-        else UncountedFrames(10.0 * MS, report, *SENDER)
-    )
+@pytest.mark.parametrize("has_counter", [False, True])
+def test_frames_held_back_at_a_reopening_are_counted(has_counter):
+    timing, tally = counted(10.0 * MS)
+    if not has_counter:
+        timing = UncountedFrames(10.0 * MS, tally, *SENDER)
     timed = [timing.add(number % 16, 10 * number * MS, number) for number in (*range(100), 176)]
     assert sum(map(len, timed)) == 100
     timing.resume()
-    assert events == {TimingEvent.CUT_OFF: 1}
+    assert tally.by_source() == {"sprockets": {TimingEvent.CUT_OFF.value: 1}}

@@ -2,25 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drivers' protocols against emulated devices in simulated time: stamps, corrupted bytes, recovery."""
 
-import dataclasses
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import LAYOUT, PLS
 from fixtures.excavator_bus import FRAMES, PARAMETERS
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.can_frames import FrameDecoder, Rejection
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.protocols.sick_scan import RawScan
 from trackslip_drivers.protocols.sick_session import SickSession
 from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, Telegram, TelegramParser, make_telegram
-from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import IMU, WatsonStream
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
-from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.stamping import StampEvent
 from trackslip_sim.devices.can_device import CanDevice
 from trackslip_sim.devices.line import BaudLine
@@ -29,9 +26,6 @@ from trackslip_sim.devices.watson_device import WatsonDevice
 from trackslip_sim.machine.faulty_line import corrupt_bytes
 
 MS, S = 1_000_000, 1_000_000_000
-SICK = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
-WATSON = node_defaults("watson_imu", "watson_imu.yaml")
-LAYOUT = Layout(WATSON["channels"], WATSON["formats"], WATSON["full_scales"])
 
 
 def sprockets(stamp_ns):
@@ -116,13 +110,9 @@ class Scanner:
 
     def __init__(self, baud, boot=0.5):
         self.boot = boot
-        self.device = SickDevice(
-            dataclasses.replace(SICK, serial_baud=baud),
-            SickDeviceParameters(boot_delay=boot, power_on_baud=9600),
-            lambda stamp_ns: np.full(361, 5.0),
-            0,
-        )
-        self.session = SickSession(dataclasses.replace(SICK, serial_baud=baud), Tally())
+        p, start = replace(PLS, serial_baud=baud), SickDeviceParameters(boot_delay=boot, power_on_baud=9600)
+        self.device = SickDevice(p, start, lambda stamp_ns: np.full(361, 5.0), 0)
+        self.session = SickSession(p, Tally())
         self.host = self.session.baud
         self.powered = True
 

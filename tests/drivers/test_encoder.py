@@ -1,35 +1,34 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A single encoder: wraps, silences, jumps, and the noise of its velocity."""
+"""A single encoder: wraps, silences, jumps, the noise of its velocity; its position for any motion."""
 
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from trackslip_drivers.protocols.encoder import EncoderEvent, Motion, SprocketEncoder
 
 COUNTS = 4096
-CYCLE_S = 0.01
+CYCLE_S, CYCLE_NS = 0.01, 10_000_000
 PER_COUNT = 2.0 * math.pi / (3 * COUNTS)
+MAX_SPEED = 5.0  # rad/s
 
 
 class Encoder:
     """A ``SprocketEncoder`` whose time is given in cycles."""
 
-    def __init__(self, window, max_speed):
-        self._unit = SprocketEncoder(PER_COUNT, COUNTS, max_speed, window)
+    def __init__(self, window=5):
+        self._unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, window)
 
     def update(self, count, cycles):
         return self._unit.update(count, round(cycles * CYCLE_S * 1e9))
 
 
-def encoder(window=5, max_speed=5.0):
-    return Encoder(window, max_speed)
-
-
 def test_positions_wrap_in_both_directions():
-    unit = encoder()
+    unit = Encoder()
     assert unit.update(4090, 0) is EncoderEvent.STARTED
     forward = unit.update(4, 1)
     assert isinstance(forward, Motion)
@@ -41,7 +40,7 @@ def test_positions_wrap_in_both_directions():
 
 
 def test_gap_shorter_than_half_a_turn_is_bridged():
-    unit = encoder()
+    unit = Encoder()
     unit.update(0, 0)
     motion = unit.update(1900, 20)  # 0.2 s at 4.86 rad/s
     assert isinstance(motion, Motion)
@@ -50,7 +49,7 @@ def test_gap_shorter_than_half_a_turn_is_bridged():
 
 
 def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
-    unit = encoder()
+    unit = Encoder()
     unit.update(100, 0)
     unit.update(150, 1)
     assert unit.update(3000, 21) is EncoderEvent.RESTARTED  # 2850 or -1246 counts; 630 expected
@@ -66,7 +65,7 @@ def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
 @pytest.mark.parametrize("gap", [25, 30, 45, 60])
 def test_silence_neither_adds_nor_loses_motion(speed, gap):
     """At constant and at steadily decreasing speed; the position after the silence is the true one."""
-    unit, position, cycle = encoder(), 7.0, 0
+    unit, position, cycle = Encoder(), 7.0, 0
     last = None
     for k in range(40):
         cycles = gap if k == 20 else 1
@@ -82,7 +81,7 @@ def test_silence_neither_adds_nor_loses_motion(speed, gap):
 
 
 def test_a_silence_of_seconds_is_not_bridged():
-    unit = encoder()
+    unit = Encoder()
     for k in range(10):
         unit.update(40 * k, 1)
     unit.update(2000, 200)
@@ -90,7 +89,7 @@ def test_a_silence_of_seconds_is_not_bridged():
 
 
 def test_a_single_jump_is_dropped_and_a_persistent_one_restarts():
-    unit = encoder()
+    unit = Encoder()
     unit.update(0, 0)
     assert unit.update(2000, 1) is EncoderEvent.JUMP
     motion = unit.update(4, 1)
@@ -112,10 +111,59 @@ def test_velocity_variance_is_as_stated(window):
     for _ in range(4000):
         speed = rng.uniform(-4.0, 4.0)
         position = rng.uniform(0.0, 1e3) + speed * CYCLE_S * np.arange(window)
-        unit = encoder(window)
+        unit = Encoder(window)
         for k, value in enumerate(position):
             motion = unit.update(math.floor(value / PER_COUNT) % COUNTS, min(k, 1))
         assert isinstance(motion, Motion)
         errors.append(motion.velocity - speed)
     stated = PER_COUNT**2 / (window * (window**2 - 1) * CYCLE_S**2)
     assert np.var(errors) == pytest.approx(stated, rel=0.1)
+
+
+LONGEST_GAP = 20  # cycles; half an encoder turn takes 20.9 cycles at the maximum speed
+seeded = settings(derandomize=True, max_examples=200, deadline=None)
+
+
+@seeded
+@given(
+    st.floats(-1e4, 1e4),
+    st.lists(
+        st.tuples(st.floats(-MAX_SPEED, MAX_SPEED), st.integers(1, LONGEST_GAP)), min_size=1, max_size=60
+    ),
+    st.integers(2, 8),
+)
+def test_position_follows_the_truth(start, legs, window):
+    unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, window)
+    unit.update(math.floor(start / PER_COUNT) % COUNTS, 0)
+    truth = start
+    origin = (math.floor(start / PER_COUNT) % COUNTS) * PER_COUNT
+    for speed, cycles in legs:
+        truth += speed * cycles * CYCLE_S
+        motion = unit.update(math.floor(truth / PER_COUNT) % COUNTS, cycles * CYCLE_NS)
+        assert isinstance(motion, Motion)
+        assert abs((motion.position - origin) - (truth - start)) < 1.001 * PER_COUNT
+        assert abs(motion.velocity) <= 1.5 * MAX_SPEED + PER_COUNT / CYCLE_S
+
+
+@seeded
+@given(st.floats(-MAX_SPEED, MAX_SPEED), st.integers(2, 8), st.data())
+def test_velocity_of_steady_motion(speed, window, data):
+    unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, window)
+    cycle = 0
+    for _ in range(20):
+        step = data.draw(st.integers(1, 5))
+        cycle += step
+        motion = unit.update(math.floor(speed * cycle * CYCLE_S / PER_COUNT) % COUNTS, step * CYCLE_NS)
+    assert isinstance(motion, Motion)
+    assert abs(motion.velocity - speed) <= 1.001 * PER_COUNT / CYCLE_S
+
+
+@seeded
+@given(st.lists(st.tuples(st.integers(0, COUNTS - 1), st.integers(1, 100)), max_size=100))
+def test_any_counts_give_finite_motion(readings):
+    unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, 5)
+    for count, cycles in readings:
+        motion = unit.update(count, cycles * CYCLE_NS)
+        if isinstance(motion, Motion):
+            assert not math.isinf(motion.position)
+            assert math.isfinite(motion.velocity)

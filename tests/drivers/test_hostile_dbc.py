@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_drivers.protocols.can_dbc import read_dbc
 
@@ -97,14 +96,6 @@ def test_numbers_that_a_can_bus_has_are_read(tmp_path: Path, text: str) -> None:
     path = tmp_path / "bus.dbc"
     path.write_text(text, encoding="utf-8")
     assert len(read_dbc(path).database.messages) == 1
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
-def test_own_dbc_is_read_in_any_encoding(tmp_path: Path, encoding: str) -> None:
-    text = config_file("excavator.dbc").read_text(encoding="utf-8")
-    path = tmp_path / "bus.dbc"
-    path.write_text(text + '\nCM_ "Bagger für Sand: 30°";\n', encoding=encoding)
-    assert len(read_dbc(path).database.messages) == text.count("\nBO_ ")
 
 
 def test_file_of_another_kind_is_refused_whatever_its_suffix(tmp_path: Path) -> None:

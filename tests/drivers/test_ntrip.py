@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from fixtures.ntrip_caster import OK, Caster, Serve, rtcm
 
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import from_flat
 from trackslip_drivers.nmea_parameters import NmeaParameters, NtripParameters
 from trackslip_drivers.transports import ntrip
 from trackslip_drivers.transports.ntrip import Credentials, NtripClient, read_credentials
@@ -46,8 +45,7 @@ def _short_times(monkeypatch: pytest.MonkeyPatch) -> None:
 def parameters(port: int, **more: object) -> NtripParameters:
     values = {"ntrip.host": "127.0.0.1", "ntrip.port": port, "ntrip.mountpoint": "SITE1"}
     values |= {f"ntrip.{name}": value for name, value in more.items()}
-    defaults = node_defaults("nmea_gnss", "nmea_gnss.yaml")
-    return from_flat(NmeaParameters, defaults | values, "nmea_gnss").ntrip
+    return load_parameters(NmeaParameters, "nmea_gnss", ("nmea_gnss.yaml",), values).ntrip
 
 
 class Receiver:
@@ -166,10 +164,7 @@ FAULTS: dict[str, tuple[Serve, str]] = {
         "has no such mountpoint",
     ),
     "fails": (replies(b"HTTP/1.1 503 Busy\r\n\r\n"), "answers 503"),
-    "1 MB/s": (
-        lambda c, _: c.sendall(OK + 2000 * rtcm(1000)),
-        "sends more than",
-    ),
+    "1 MB/s": (replies(OK + 2000 * rtcm(1000)), "sends more than"),
 }
 
 

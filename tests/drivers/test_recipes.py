@@ -68,10 +68,6 @@ def inertial(k):
     return rmc(at(k)) + gga(at(k)) + gst(at(k)) + hdt(at(k)) + pashr(at(k))
 
 
-def total_station(k):
-    return gga(at(k))
-
-
 def played(recipe, **parameters):
     stream, samples = NmeaStream(replace(NMEA, serial_port="socket://device:1", **parameters), Tally()), []
     for k in range(EPOCHS):
@@ -93,6 +89,6 @@ def test_receivers_with_two_antennas(recipe):
 
 def test_total_station_variance_is_from_its_range_error():
     range_errors = replace(NMEA.range_errors, rtk_fixed=0.005)
-    fixes, _ = played(total_station, range_errors=range_errors, latency=0.2)
+    fixes, _ = played(lambda k: gga(at(k)), range_errors=range_errors, latency=0.2)
     assert len(fixes) == EPOCHS
     assert fixes[-1].variances[0] == pytest.approx((0.6 * 0.005) ** 2 / 2.0)

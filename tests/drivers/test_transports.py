@@ -145,12 +145,6 @@ def test_silence_is_reported_only_after_an_empty_read(received, start_link):
     assert reported == [[b"a", b"b"], [b"a", b"b", b"c"]]
 
 
-def test_silent_port_is_reopened(pty_port, received, start_link):
-    link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"), silence_s=0.2)
-    wait_for(lambda: link.state().openings >= 2)
-    assert link.state().last_error == "nothing received for 0.2 s"
-
-
 def test_reason_of_a_locked_or_missing_port_does_not_repeat_its_name(pty_port, tmp_path, start_link):
     """The node prints the device and its port before this reason."""
     first = SerialPort(str(pty_port.link), 9600, "N")

@@ -1,11 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Watson units: lines and frames of the manuals byte by byte, framing, stamps, rejections."""
+"""Watson units: lines and frames of the manuals byte by byte, framing, stamps, rejections, round trips."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from fixtures.driver_defaults import LAYOUT
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -25,19 +28,14 @@ from trackslip_drivers.protocols.watson_stream import FIELD, IMU, WatsonStream
 
 SIX = ["XA", "YA", "ZA", "XR", "YR", "ZR"]
 SIX_FORMATS = ["+0.00"] * 3 + ["+000.0"] * 3
+AHRS_VALUES = {"BK": 2.5, "EL": -5.0, "HG": 273.4, "XA": 1.02, "YA": 0.15, "ZA": -1.57}
+AHRS_VALUES |= {"XR": -0.4, "YR": 1.2, "ZR": 10.4, "VS": 1.4}
 AHRS = Layout(
-    ["BK", "EL", "HG", "XA", "YA", "ZA", "XR", "YR", "ZR", "VS"],
+    [*AHRS_VALUES],
     ["+000.0", "+00.0", "000.0", "+0.00", "+0.00", "+0.00", "+00.0", "+00.0", "+00.0", "+000.0"],
     [180, 180, 360, 10, 10, 10, 200, 200, 200, 800],
 )
 AHRS_LINE = b"I +002.5 -05.0 273.4 +1.02 +0.15 -1.57 -00.4 +01.2 +10.4 +001.4 "
-AHRS_VALUES = dict(
-    zip(
-        ["BK", "EL", "HG", "XA", "YA", "ZA", "XR", "YR", "ZR", "VS"],
-        (2.5, -5.0, 273.4, 1.02, 0.15, -1.57, -0.4, 1.2, 10.4, 1.4),
-        strict=True,
-    )
-)
 DMS = Layout(
     ["TM", "BK", "EL", "HG", *SIX[:3], "FA", "LA", "VA", *SIX[3:], "HR", "VS", "LT", "LN", "AL"],
     [
@@ -151,10 +149,10 @@ def test_rejections_are_counted_and_pass(line, reason):
     ],
 )
 def test_the_number_of_fields_is_reported(line, text):
-    stream = WatsonStream(LAYOUT, 9600, 0, Tally())
-    stream.feed(line + b"\r", 10**9)
-    (key,) = stream.tally.total
-    assert stream.tally.detail_or_reason(key) == text
+    parser = stream()
+    parser.feed(line + b"\r", 10**9)
+    (key,) = parser.tally.total
+    assert parser.tally.detail_or_reason(key) == text
 
 
 def test_invalid_magnetometer_drops_only_the_magnetic_field():
@@ -238,3 +236,75 @@ def test_reset_forgets_half_a_line():
 def test_bad_channel_lists(names, formats, message):
     with pytest.raises(InputError, match=message):
         Layout(names, formats, [1.0] * len(names))
+
+
+VALUES = st.fixed_dictionaries(
+    {channel.name: st.floats(-channel.full_scale, channel.full_scale) for channel in LAYOUT.channels}
+)
+LABEL = st.sampled_from("IRGTirgt")
+seeded = settings(derandomize=True, max_examples=200, deadline=None)
+
+
+def cut(data, places):
+    edges = [0, *sorted(min(place, len(data)) for place in places), len(data)]
+    return [data[a:b] for a, b in pairwise(edges)]
+
+
+@seeded
+@given(LABEL, VALUES)
+def test_line_round_trip(label, values):
+    reading = decode_line(encode_line(label, values, LAYOUT)[:-1], LAYOUT)
+    assert isinstance(reading, Reading)
+    for channel in LAYOUT.channels:
+        error = abs(reading.values[channel.name] - values[channel.name])
+        assert error <= 0.5000001 * 10.0**-channel.decimals
+    assert reading.over_range >= label.islower()
+
+
+@seeded
+@given(VALUES)
+def test_frame_round_trip(values):
+    reading = decode_frame(encode_frame(values, LAYOUT)[:-1], LAYOUT)
+    assert isinstance(reading, Reading)
+    for channel in LAYOUT.channels:
+        error = abs(reading.values[channel.name] - values[channel.name])
+        assert error <= 1.000001 * channel.full_scale / 8192
+
+
+READ_INTERVAL_NS = 100_000_000  # between reads of the port
+
+
+@seeded
+@given(
+    st.lists(st.tuples(st.booleans(), VALUES), max_size=8),
+    st.lists(st.integers(0, 600), max_size=20),
+)
+def test_cutting_of_the_stream_changes_nothing(lines, places):
+    data = b"".join(
+        encode_frame(values, LAYOUT) if binary else encode_line("R", values, LAYOUT)
+        for binary, values in lines
+    )
+    whole = stream().feed(data, 10**15)
+    parser = stream()
+    left, last_read_ns = len(data), 10**15 - len(data) * 10**10 // 9600
+    pieces = []
+    for piece in cut(data, places):
+        left -= len(piece)
+        arrival_ns = 10**15 - left * 10**10 // 9600
+        for empty_ns in range(last_read_ns, arrival_ns, READ_INTERVAL_NS):
+            parser.feed(b"", empty_ns)
+        pieces, last_read_ns = pieces + parser.feed(piece, arrival_ns), arrival_ns
+    assert len(pieces) == len(lines)
+    for piece, sample in zip(pieces, whole, strict=True):
+        assert piece.stamp_ns == pytest.approx(sample.stamp_ns, abs=3)
+        assert (piece.acceleration, piece.magnetic_field) == (sample.acceleration, sample.magnetic_field)
+    assert not parser.tally.total
+
+
+@seeded
+@given(VALUES, st.integers(0, LAYOUT.line_length - 2), st.integers(1, 20))
+def test_line_with_lost_characters_is_never_decoded(values, start, count):
+    """Only a loss that keeps every field's width could be decoded, and such a loss also removes a space."""
+    line = encode_line("R", values, LAYOUT)[:-1]
+    damaged = line[:start] + line[start + count :]
+    assert not isinstance(decode_line(damaged, LAYOUT), Reading)

@@ -158,17 +158,11 @@ def _numbers(rng: np.random.Generator, n: int) -> list[float]:
 def slip_topics() -> dict[str, Topic]:
     """Topics of the slip estimator with all kinds of sources."""
     p = load_slip_parameters(PARAMETERS)
-    pose, joints, imu = (
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
-        "sensor_msgs/msg/JointState",
-        "sensor_msgs/msg/Imu",
-    )
-    compass, camera, gyro = (
-        p.compasses()["heading"],
-        p.odometries()["visual_odometry"],
-        p.gyros()["imu/data_raw"],
-    )
-    sprockets, receiver = (LEFT_SPROCKET, RIGHT_SPROCKET), p.velocities()["fix_velocity"]
+    pose = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    joints, imu = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
+    compass, gyro = p.compasses()["heading"], p.gyros()["imu/data_raw"]
+    camera, receiver = p.odometries()["visual_odometry"], p.velocities()["fix_velocity"]
+    sprockets = (LEFT_SPROCKET, RIGHT_SPROCKET)
     return {
         "sprockets": Topic(joints, lambda m: conversions.sprockets(m, "sprockets"), sprockets),
         "imu/data_raw": Topic(imu, lambda m: conversions.yaw_rate(m, "imu/data_raw", gyro)),

@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hostile_readers import BAG, Reader, compile_replay, importing, remove
+from hostile_readers import BAG, Reader, compile_replay, importing, remove, run
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
@@ -105,9 +105,7 @@ def metadata(folder: Path) -> Reader:
 
     def read(path: Path) -> int:
         (bag / "metadata.yaml").write_bytes(path.read_bytes())
-        code = max(main(["info", str(bag)]), main(["recover", str(bag), "--output", str(folder / "bag")]))
-        remove(folder / "bag")
-        return code
+        return max(main(["info", str(bag)]), run(folder, "recover", str(bag)))
 
     return Reader([(BAG / "metadata.yaml").read_bytes()], read)
 

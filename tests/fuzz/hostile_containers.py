@@ -4,7 +4,7 @@
 
 import os
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 import yaml
 from mcap.writer import CompressionType, IndexType, Writer
 
-from hostile_messages import Family, good, write
+from hostile_messages import Family, Line, good, write
+from trackslip_bags.writer import own_schema
 
 _INFORMATION = "rosbag2_bagfile_information"
 _TIMES: tuple[Any, ...] = (
@@ -290,10 +291,7 @@ def _text(writer: Writer, size: int) -> None:
 
 def _large_array(writer: Writer) -> None:
     raw = next(line for line in good() if line.topic == "/scan").raw
-    schema = writer.register_schema(
-        "sensor_msgs/msg/LaserScan", "ros2msg", _definition("sensor_msgs/msg/LaserScan")
-    )
-    channel = writer.register_channel("/scan", "cdr", schema)
+    channel = writer.register_channel("/scan", "cdr", _own_schema(writer, "sensor_msgs/msg/LaserScan"))
     length = raw.rindex(struct.pack("<I", 0)) if struct.pack("<I", 0) in raw else len(raw)
     for k in range(3):
         writer.add_message(
@@ -302,10 +300,10 @@ def _large_array(writer: Writer) -> None:
     _good(writer)
 
 
-def _definition(type_name: str) -> bytes:
-    from trackslip_bags.writer import own_schema
-
-    return own_schema(type_name).data
+def _own_schema(writer: Writer, type_name: str) -> int:
+    """Register the definition of a type of ours."""
+    schema: int = writer.register_schema(type_name, "ros2msg", own_schema(type_name).data)
+    return schema
 
 
 def _attachments(writer: Writer) -> None:
@@ -327,10 +325,17 @@ def _defined(writer: Writer, text: str, encoding: str = "ros2msg") -> None:
     schemas = {
         name: writer.register_schema(name, encoding, text.replace("a/msg/B", name).encode()) for name in types
     }
+    _add_lines(writer, good()[:2000], schemas.__getitem__)
+
+
+def _add_lines(
+    writer: Writer, lines: Sequence[Line], schema_of: Callable[[str], int], encoding: str = "cdr"
+) -> None:
     channels: dict[str, int] = {}
-    for line in good()[:2000]:
+    for line in lines:
         if line.topic not in channels:
-            channels[line.topic] = writer.register_channel(line.topic, "cdr", schemas[line.type_name])
+            schema = schema_of(line.type_name)
+            channels[line.topic] = writer.register_channel(line.topic, encoding, schema)
         writer.add_message(channels[line.topic], line.log_ns, line.raw, line.log_ns)
 
 
@@ -347,48 +352,39 @@ def _deep(depth: int) -> str:
 
 
 def _good(writer: Writer, encoding: str = "cdr", *, no_schema: bool = False) -> None:
-    channels: dict[str, int] = {}
-    for line in good()[:4000]:
-        if line.topic not in channels:
-            schema = (
-                0
-                if no_schema
-                else writer.register_schema(line.type_name, "ros2msg", _definition(line.type_name))
-            )
-            channels[line.topic] = writer.register_channel(line.topic, encoding, schema)
-        writer.add_message(channels[line.topic], line.log_ns, line.raw, line.log_ns)
+    def schema_of(type_name: str) -> int:
+        return 0 if no_schema else _own_schema(writer, type_name)
 
-
-_MAGIC = b"\x89MCAP0\r\n"
+    _add_lines(writer, good()[:4000], schema_of, encoding)
 
 
 def _record(opcode: int, content: bytes) -> bytes:
     return bytes([opcode]) + struct.pack("<Q", len(content)) + content
 
 
+def _strings(*texts: bytes) -> bytes:
+    return b"".join(struct.pack("<I", len(text)) + text for text in texts)
+
+
+_HEAD = b"\x89MCAP0\r\n" + _record(1, _strings(b"ros2", b""))
+
+
 def _empty_chunks(folder: Path) -> Path:
     file = folder / "bag.mcap"
-    chunk = _record(6, struct.pack("<QQQI", 5, 6, 0, 0) + struct.pack("<I", 0) + struct.pack("<Q", 0))
-    file.write_bytes(
-        _MAGIC + _record(1, struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)) + chunk * 100_000
-    )
+    chunk = _record(6, struct.pack("<QQQIIQ", 5, 6, 0, 0, 0, 0))
+    file.write_bytes(_HEAD + chunk * 100_000)
     return file
 
 
 def _bare_schemas(folder: Path) -> Path:
-    file, text = folder / "bag.mcap", b"string data"
+    file = folder / "bag.mcap"
     with file.open("wb") as stream:
-        stream.write(_MAGIC + _record(1, struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)))
+        stream.write(_HEAD)
         for k in range(200_000):
-            name = b"std_msgs/msg/String%d" % (k % 60_000)
-            parts = (
-                struct.pack("<H", k % 65535 + 1),
-                *(struct.pack("<I", len(x)) + x for x in (name, b"ros2msg", text)),
-            )
-            stream.write(_record(3, b"".join(parts)))
-            topic = b"/t%d" % k
-            words = *(struct.pack("<I", len(x)) + x for x in (topic, b"cdr")), struct.pack("<I", 0)
-            stream.write(_record(4, struct.pack("<HH", k % 65535, k % 65535 + 1) + b"".join(words)))
+            number, name = k % 65535, b"std_msgs/msg/String%d" % (k % 60_000)
+            schema = struct.pack("<H", number + 1) + _strings(name, b"ros2msg", b"string data")
+            channel = struct.pack("<HH", number, number + 1) + _strings(b"/t%d" % k, b"cdr", b"")
+            stream.write(_record(3, schema) + _record(4, channel))
     return file
 
 
@@ -471,6 +467,4 @@ def _packed_zeros() -> bytes:
     return b"".join(packer.compress(bytes(1 << 20)) for _ in range(1000)) + packer.flush()
 
 
-def families() -> Iterator[Callable[[], Family]]:
-    """All families of this module."""
-    yield from (metadata, damages, records, names)
+FAMILIES_OF_CONTAINERS: tuple[Callable[[], Family], ...] = (metadata, damages, records, names)

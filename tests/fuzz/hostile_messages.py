@@ -139,25 +139,6 @@ NUMBERS: dict[str, float] = {
 }
 
 
-def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> None:
-    """Set every float of a message, nested ones too, or the one at a path, to ``value``.
-
-    In 32 bits it may become infinite.
-    """
-    if message.__msgtype__ == "sensor_msgs/msg/LaserScan":  # of float32
-        with np.errstate(over="ignore"):
-            value = float(np.float32(value))
-    for field in dataclasses.fields(message):
-        name, old = f"{at}.{field.name}", getattr(message, field.name)
-        if dataclasses.is_dataclass(old) and field.name != "stamp":
-            _with_numbers(old, value, only, name)
-        elif isinstance(old, float) and only in ("", name):
-            setattr(message, field.name, value)
-        elif isinstance(old, np.ndarray) and old.dtype.kind == "f" and only in ("", name):
-            with np.errstate(over="ignore"):
-                setattr(message, field.name, np.full_like(old, value))
-
-
 def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:
     """The valid recording with each ``every``-th message of a topic changed."""
     lines, number = [], 0
@@ -188,23 +169,31 @@ def contents() -> Family:
 def fields() -> Family:
     """One field in all messages of a topic."""
     for topic in stamped_topics():
-        for path in _floats(_message(first()[topic])):
+        for path, _, _ in _floats(_message(first()[topic])):
             for name in ("nan", "1e308", "1e30", "minus_1"):
                 change = partial(_set_numbers, NUMBERS[name], path)
                 yield f"field{topic}{path}={name}", partial(_changed, topic, change, 1)
 
 
 def _set_numbers(value: float, only: str, message: Any, _: int) -> None:
-    _with_numbers(message, value, only)
+    """Set every float of a message, nested ones too, or the one at a path; in 32 bits it may be infinite."""
+    with np.errstate(over="ignore"):
+        if message.__msgtype__ == "sensor_msgs/msg/LaserScan":  # of float32
+            value = float(np.float32(value))
+        for path, part, name in _floats(message):
+            if only in ("", path):
+                old = getattr(part, name)
+                setattr(part, name, value if isinstance(old, float) else np.full_like(old, value))
 
 
-def _floats(message: Any, at: str = "") -> Iterator[str]:
+def _floats(message: Any, at: str = "") -> Iterator[tuple[str, Any, str]]:
+    """Path, message that has it, and name of each field of floats."""
     for field in dataclasses.fields(message):
-        name, value = f"{at}.{field.name}", getattr(message, field.name)
+        path, value = f"{at}.{field.name}", getattr(message, field.name)
         if dataclasses.is_dataclass(value) and field.name != "stamp":
-            yield from _floats(value, name)
+            yield from _floats(value, path)
         elif isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
-            yield name
+            yield path, message, field.name
 
 
 # --- stamps
@@ -264,13 +253,12 @@ def log_times() -> Family:
         "at_random": lambda t, k: begin + (t - begin) * 7919 * (k + 1) % (20 * _S),
     }
     for name, variant in variants.items():
+        yield f"log_times={name}", partial(_with_log_times, variant)
 
-        def made(folder: Path, variant: Callable[[int, int], int] = variant) -> Path:
-            return write(
-                (line._replace(log_ns=variant(line.log_ns, k)) for k, line in enumerate(lines)), folder
-            )
 
-        yield f"log_times={name}", made
+def _with_log_times(variant: Callable[[int, int], int], folder: Path) -> Path:
+    lines = enumerate(good())
+    return write((line._replace(log_ns=variant(line.log_ns, k)) for k, line in lines), folder)
 
 
 # --- lists, texts, bytes
@@ -281,8 +269,8 @@ def sequences() -> Family:
     long_name = "x" * 200_000
     for topic in (topic for topic in topics() if _type(topic) == "sensor_msgs/msg/JointState"):
         for name, count in (("none", 0), ("one", 1), ("three", 3), ("many", 5000)):
-            for what, resize in (("positions", _positions), ("velocities", _velocities), ("names", _names)):
-                change = partial(resize, count)
+            for what, field in (("positions", "position"), ("velocities", "velocity"), ("names", "name")):
+                change = partial(_resize, field, count)
                 for every in (1, 3):
                     bag = f"sequences{topic}={what} {name} each {every}"
                     yield bag, partial(_changed, topic, change, every)
@@ -301,16 +289,10 @@ def sequences() -> Family:
         yield f"diagnostics={name}", partial(_changed, "/diagnostics", partial(_statuses, text), 1)
 
 
-def _positions(count: int, message: Any, _: int) -> None:
-    message.position = np.resize(message.position, count)
-
-
-def _velocities(count: int, message: Any, _: int) -> None:
-    message.velocity = np.resize(message.velocity, count)
-
-
-def _names(count: int, message: Any, _: int) -> None:
-    message.name = (list(message.name) * count)[:count]
+def _resize(field: str, count: int, message: Any, _: int) -> None:
+    values = getattr(message, field)
+    is_text = field == "name"
+    setattr(message, field, (list(values) * count)[:count] if is_text else np.resize(values, count))
 
 
 def _one_name_twice(message: Any, _: int) -> None:

@@ -74,11 +74,7 @@ def scenario(folder: Path) -> Reader:
     """A scenario, simulated briefly with its sensors."""
 
     def read(path: Path) -> int:
-        output = folder / "bag"
-        options = ["--scenario", str(path), "--duration", "0.3", "--output", str(output)]
-        code = main(["simulate", *options])
-        remove(output)
-        return code
+        return run(folder, "simulate", "--duration", "0.3", "--scenario", str(path))
 
     return Reader(_config("scenarios/*.yaml"), read)
 
@@ -87,10 +83,8 @@ def terrain(folder: Path) -> Reader:
     """A terrain, driven on briefly."""
 
     def read(path: Path) -> int:
-        options = ["--scenario", "straight", "--terrain", str(path), "--duration", "0.3"]
-        code = main(["simulate", *options, "--output", str(folder / "bag")])
-        remove(folder / "bag")
-        return code
+        options = ("--scenario", "straight", "--terrain", str(path))
+        return run(folder, "simulate", "--duration", "0.3", *options)
 
     with contextlib.redirect_stdout(io.StringIO()):
         read(config_directory() / "terrains" / "hill.yaml")  # compiles the kernels
@@ -169,9 +163,7 @@ def mapping(folder: Path) -> Reader:
     log.write_bytes(LOG)
 
     def read(path: Path) -> int:
-        code = main(["import", str(log), "--mapping", str(path), "--output", str(folder / "bag")])
-        remove(folder / "bag")
-        return code
+        return run(folder, "import", str(log), "--mapping", str(path))
 
     return Reader([MAPPING, MAPPING_OF_FIXES], read)
 
@@ -189,10 +181,7 @@ def importing(
     (folder / "mapping.yaml").write_text(mapping, encoding="utf-8")
 
     def read(path: Path) -> int:
-        options = ["--mapping", str(folder / "mapping.yaml"), "--output", str(folder / "bag")]
-        code = main(["import", str(log(path)), *options])
-        remove(folder / "bag")
-        return code
+        return run(folder, "import", str(log(path)), "--mapping", str(folder / "mapping.yaml"))
 
     return read
 
@@ -320,6 +309,13 @@ def cache(_: Path) -> Reader:
                 study.markdown([piece])
 
     return Reader([seed], read, ".jsonl")
+
+
+def run(folder: Path, *words: str) -> int:
+    """Exit code of a command that writes a bag, which is removed."""
+    code = main([*words, "--output", str(folder / "bag")])
+    remove(folder / "bag")
+    return code
 
 
 def compile_replay() -> None:

@@ -28,10 +28,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from child import run_in_child
-from hostile_containers import families
+from hostile_containers import FAMILIES_OF_CONTAINERS
 from hostile_messages import FAMILIES_OF_MESSAGES, Made, good, write
 from trackslip_tools.cli.main import main as trackslip
 
+FAMILIES = (*FAMILIES_OF_MESSAGES, *FAMILIES_OF_CONTAINERS)
 BAGS = 246
 LONGEST_S = 60
 MOST_MB = 1000
@@ -102,13 +103,13 @@ def main() -> int:
 @cache
 def made_by_name() -> dict[str, Made]:
     """Every hostile bag by name."""
-    return {name: made for family in (*FAMILIES_OF_MESSAGES, *families()) for name, made in family()}
+    return {name: made for family in FAMILIES for name, made in family()}
 
 
 def drawn(count: int, seed: int) -> list[str]:
     """Names of ``count`` bags, evenly from all families while these last."""
     draw = random.Random(seed)
-    by_family = [[name for name, _ in family()] for family in (*FAMILIES_OF_MESSAGES, *families())]
+    by_family = [[name for name, _ in family()] for family in FAMILIES]
     for names in by_family:
         draw.shuffle(names)
     chosen: list[str] = []

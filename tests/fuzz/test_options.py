@@ -20,21 +20,7 @@ PARSERS: dict[str, Callable[[str], object]] = {
     "remap": parse_remap,
     "set": lambda text: load_slip_parameters(dict([parse_set(text)])),
 }
-PIECES = (
-    "box_pose",
-    ":",
-    "10",
-    "1.0",
-    "/a",
-    ":=",
-    "slip_estimator",
-    ".",
-    "history_window",
-    "=",
-    "[",
-    "]",
-    "-",
-)
+PIECES = ("box_pose", "10", "1.0", "/a", ":=", "slip_estimator", "history_window", *":.=[]-")
 texts = st.one_of(st.text(), st.lists(st.one_of(st.sampled_from(PIECES), st.text(max_size=3))).map("".join))
 
 

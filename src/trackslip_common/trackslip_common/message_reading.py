@@ -84,9 +84,10 @@ def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
 @cache
 def _reader(kind: RecordClass) -> Callable[[Any], Any]:
     """The function that ``read`` uses for a record class."""
-    selectors = selectors_of(kind)
-    getters = {name: attrgetter(selector.path) for name, (_, selector) in selectors.items()}
-    steps = [(getters[name], _converter(python, selector)) for name, (python, selector) in selectors.items()]
+    steps = [
+        (attrgetter(selector.path), _converter(python, selector))
+        for python, selector in selectors_of(kind).values()
+    ]
 
     def read_one(message: Any) -> Any:
         return kind(*[convert(get(message), message) for get, convert in steps])

@@ -13,12 +13,10 @@ The range of each covers machines from a tracked robot of 17 kg to a mining shov
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from trackslip_common.errors import InputError
-
-if TYPE_CHECKING:
-    from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle import VehicleParameters
 
 
 class _DerivedQuantity(NamedTuple):
@@ -32,7 +30,7 @@ class _DerivedQuantity(NamedTuple):
     inputs: str  # the numbers it is derived from, with their units
 
 
-def check_consistency(vehicle: "VehicleParameters", where: str) -> None:
+def check_consistency(vehicle: VehicleParameters, where: str) -> None:
     """Check a vehicle whose numbers are each in range.
 
     Raises:
@@ -47,7 +45,7 @@ def check_consistency(vehicle: "VehicleParameters", where: str) -> None:
             )
 
 
-def _derived_quantities(vehicle: "VehicleParameters") -> Iterator[_DerivedQuantity]:
+def _derived_quantities(vehicle: VehicleParameters) -> Iterator[_DerivedQuantity]:
     k, m, h, upper = vehicle.kinematics, vehicle.mass, vehicle.hydraulics, vehicle.upper_structure
     if m is not None:
         pressure = m.weight / (2.0 * m.track_width * k.contact_length)

@@ -4,14 +4,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, ClassVar
 
 import yaml
 
 from trackslip_common.config_files import config_directory, read_yaml, unflatten
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_checks import check_consistency
@@ -127,7 +126,5 @@ def _find_file(name: str) -> Path:
     for candidate in (config_directory() / "vehicles" / f"{name}.yaml", Path(name)):
         if candidate.is_file():
             return candidate
-    known = vehicle_names()
-    similar = get_close_matches(name, known, n=1)
-    hint = f", did you mean '{similar[0]}'?" if similar else f"; accepted: {', '.join(known)}, or a YAML file"
+    hint = suggestion(name, vehicle_names(), ", or a YAML file")
     raise InputError(f"vehicle '{name}': no such vehicle or file{hint}")

@@ -16,20 +16,9 @@ DEFAULT_FILES = ("can_driver.yaml",)
 
 _OVER_NETWORK = ("udp_multicast", "socketcand")  # python-can's interfaces with a port
 _INTERFACES = (
-    *(
-        "socketcan",
-        "udp_multicast",
-        "virtual",
-        "slcan",
-        "socketcand",
-        "pcan",
-        "kvaser",
-        "vector",
-        "ixxat",
-        "serial",
-    ),
-    *("gs_usb", "cantact", "canalystii", "etas", "iscan", "neousys", "neovi", "nican", "nixnet", "robotell"),
-    *("seeedstudio", "systec", "usb2can"),
+    *("socketcan", "udp_multicast", "virtual", "slcan", "socketcand", "pcan", "kvaser", "vector", "ixxat"),
+    *("serial", "gs_usb", "cantact", "canalystii", "etas", "iscan", "neousys", "neovi", "nican", "nixnet"),
+    *("robotell", "seeedstudio", "systec", "usb2can"),
 )
 
 

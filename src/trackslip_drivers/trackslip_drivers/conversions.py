@@ -14,6 +14,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.make import MessageFactory, header, set_stamp
+from trackslip_common.message_fields import ABSENT
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_drivers.records import (
     FixSample,
@@ -28,7 +29,6 @@ from trackslip_drivers.records import (
 )
 
 _UNOBSERVED_VARIANCE = 1e6  # rad², variance of roll and pitch
-_ABSENT_COVARIANCE = -1.0  # first element of the covariance of an unmeasured quantity (REP-145)
 
 
 def blank_joint_state(make: MessageFactory, frame_id: str) -> Any:
@@ -73,13 +73,11 @@ def fill_track_hydraulics(message: Any, sample: HydraulicsSample) -> Any:
 
 def blank_imu(make: MessageFactory, frame_id: str, acceleration_stddev: float, rate_stddev: float) -> Any:
     """sensor_msgs/Imu for ``fill_imu``."""
-    absent = np.zeros(9)
-    absent[0] = _ABSENT_COVARIANCE
     return make(
         "sensor_msgs/msg/Imu",
         header=header(make, 0, frame_id),
         orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-        orientation_covariance=absent,
+        orientation_covariance=_absent_covariance(),
         angular_velocity=_zero_vector(make),
         angular_velocity_covariance=_isotropic(rate_stddev),
         linear_acceleration=_zero_vector(make),
@@ -149,24 +147,19 @@ def heading(make: MessageFactory, sample: HeadingSample, frame_id: str) -> Any:
 
     Rates and accelerations are absent (REP-145); an unknown accuracy is a covariance of zeros.
     """
-    absent = np.zeros(9)
-    absent[0] = _ABSENT_COVARIANCE
-    is_known = sample.stddev > 0.0
-    covariance = (
-        np.diag((_UNOBSERVED_VARIANCE, _UNOBSERVED_VARIANCE, sample.stddev**2)).flatten()
-        if is_known
-        else np.zeros(9)
-    )
+    covariance = np.zeros((3, 3))
+    if sample.stddev > 0.0:
+        covariance[:] = np.diag((_UNOBSERVED_VARIANCE, _UNOBSERVED_VARIANCE, sample.stddev**2))
     half = sample.yaw / 2.0
     return make(
         "sensor_msgs/msg/Imu",
         header=header(make, sample.stamp_ns, frame_id),
         orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
-        orientation_covariance=covariance,
+        orientation_covariance=covariance.ravel(),
         angular_velocity=_zero_vector(make),
-        angular_velocity_covariance=absent,
+        angular_velocity_covariance=_absent_covariance(),
         linear_acceleration=_zero_vector(make),
-        linear_acceleration_covariance=absent.copy(),
+        linear_acceleration_covariance=_absent_covariance(),
     )
 
 
@@ -203,3 +196,8 @@ def _fill_vector(vector: Any, values: Vector) -> None:
 def _isotropic(stddev: float) -> FloatArray:
     """Covariance (9,) row-major, with equal variances."""
     return np.diag(np.full(3, stddev**2)).flatten()
+
+
+def _absent_covariance() -> FloatArray:
+    """Covariance (9,) of a quantity that is not measured (REP-145)."""
+    return np.array((ABSENT, *[0.0] * 8))

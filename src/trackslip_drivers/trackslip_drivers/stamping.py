@@ -198,7 +198,6 @@ class HostTime:
     offset_ns: int  # host's clock minus steady clock, at the last check
     updated_ns: int  # steady time of that check
     lead_ns: int = 0
-    jumps: int = 0
 
     def update_offset(self, host_ns: int, steady_ns: int) -> bool:
         """Update the offset from both clocks, read together; returns whether the host's clock has jumped."""
@@ -207,7 +206,6 @@ class HostTime:
         self.offset_ns += change_ns
         self.updated_ns = steady_ns
         if jumped:
-            self.jumps += 1
             self.lead_ns = max(0, self.lead_ns - change_ns)
         return jumped
 

@@ -41,9 +41,9 @@ def describe_exception(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
 
 
-def utc_date(ago_s: float) -> str:
-    """UTC date of an event so many seconds ago."""
-    return f"{datetime.fromtimestamp(time.time() - ago_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
+def utc_date(seconds: float) -> str:
+    """Text of a system time, s since 1970."""
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
 
 
 class CallbackFailures:
@@ -114,7 +114,7 @@ class CallbackFailures:
         values |= {
             "last failure": last,
             "age of the last failure (s)": f"{ago_s:.1f}",
-            "last failure at": utc_date(ago_s),
+            "last failure at": utc_date(time.time() - ago_s),
         }
         failed = f"{sum(counts.values())} callbacks failed; the last: {last}"
         level, message = (ERROR, failed) if ago_s < RECENT_S else (OK, "running")

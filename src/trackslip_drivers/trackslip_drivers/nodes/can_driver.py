@@ -66,13 +66,13 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
     def restart_decoding(self) -> None:
         """After opening: continue positions over the time without a bus, and start CANopen nodes."""
         self._can.resume()
-        if self.settings.canopen_start and self._link is not None:
-            self._link.write(START_ALL)
+        if self.settings.canopen_start:
+            self.link.write(START_ALL)
 
     def receive(self, data: CanFrame, arrival_ns: int) -> None:
         """Decode one frame, and publish the samples that it completes."""
-        if self.settings.canopen_start and (start := start_command(*data)) and self._link is not None:
-            self._link.write(start)
+        if self.settings.canopen_start and (start := start_command(*data)):
+            self.link.write(start)
         if data[0] & ERROR_FLAG:
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:

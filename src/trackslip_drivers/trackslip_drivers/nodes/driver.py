@@ -6,42 +6,22 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Mapping
-from datetime import datetime, timezone
 from types import MappingProxyType
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from rclpy.clock import Clock, ClockType
 
 from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.failures import utc_date
 from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health
 from trackslip_common.parameters import Parameters
-from trackslip_drivers.records import (
-    FixSample,
-    HeadingSample,
-    HydraulicsSample,
-    ImuSample,
-    ScanSample,
-    SprocketSample,
-    SwingSample,
-    VelocitySample,
-)
 from trackslip_drivers.stamping import MonotonicStamps, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
 D = TypeVar("D")  # data of the port: bytes, or a frame
-S = TypeVar(
-    "S",
-    SprocketSample,
-    HydraulicsSample,
-    SwingSample,
-    ImuSample,
-    ScanSample,
-    FixSample,
-    HeadingSample,
-    VelocitySample,
-)
+S = TypeVar("S", bound="Sample")
 
 _STALE_PERIODS = 10
 _CHECK_PERIOD = 0.1  # s between checks for a change of the link's condition
@@ -53,9 +33,14 @@ _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
 
 
-def _date(seconds: float) -> str:
-    """Text of a system time, s since 1970; empty for 0."""
-    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if seconds else ""
+class Sample(Protocol):
+    """Any record of ``records``."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the measurement."""
+
+    def _replace(self: S, *, stamp_ns: int) -> S: ...
 
 
 class DriverNode(TrackslipNode[P], Generic[P, D]):
@@ -118,18 +103,22 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if self._link is not None:
             self._link.stop()
 
+    @property
+    def link(self) -> Link[D]:
+        """The link, from the first activation on."""
+        assert self._link is not None
+        return self._link
+
     def arrival_time(self, host_ns: int) -> int:
         """Steady time at which a port received data, from ``host_ns``; counts jumps of the host's clock."""
-        assert self._link is not None
-        steady_ns, has_jumped = self._host.arrival(host_ns, self._link.read_monitor.emptied_ns)
+        steady_ns, has_jumped = self._host.arrival(host_ns, self.link.read_monitor.emptied_ns)
         if has_jumped:
             self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
         return steady_ns
 
     def can_be_delayed(self, steady_ns: int) -> bool:
         """Whether data that seem to have arrived just now may be delayed, as the host was suspended."""
-        assert self._link is not None
-        return self._link.read_monitor.can_be_delayed(steady_ns, time.monotonic_ns())
+        return self.link.read_monitor.can_be_delayed(steady_ns, time.monotonic_ns())
 
     def restamp(self, sample: S) -> S:
         """Stamp a sample for publishing: on the host's clock, later than the previous one."""
@@ -146,11 +135,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
 
     def health(self) -> list[Health]:
         """Connection, rate, age, rejections."""
-        assert self._link is not None
-        state, now_s = self._link.state(), time.monotonic()
+        state, now_s = self.link.state(), time.monotonic()
         if counts := self.tally.new_counts():
             most_frequent = max(counts, key=lambda key: counts[key])  # the latest would change at each report
-            self._rejected = (self.tally.detail_or_reason(most_frequent), now_s, _date(time.time()))
+            self._rejected = (self.tally.detail_or_reason(most_frequent), now_s, utc_date(time.time()))
         start_s, start_count = self._rate_start
         if now_s - start_s >= _RATE_INTERVAL:
             self._rate = (self._published - start_count) / (now_s - start_s)
@@ -162,14 +150,14 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             "reconnects": max(state.openings - 1, 0),
             "errors": state.errors,
             "last error": state.last_error,
-            "last error at": _date(state.last_error_s),
+            "last error at": utc_date(state.last_error_s) if state.last_error_s else "",
             "last rejected": self._rejected[0],
             "last rejected at": self._rejected[2],
             "note": state.note,
             "stamps ahead of the host's clock (s)": f"{self._host.lead_ns * 1e-9:.3f}",
         }
         values |= {f"{source}: {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
-        level, message = self._condition(self._link)
+        level, message = self._condition()
         self._reported = level
         return [Health(level, message, values)]
 
@@ -185,9 +173,9 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Message about valid data that cannot be used, with the remedy; empty if there are none."""
         return ""
 
-    def _condition(self, link: Link[D]) -> tuple[bytes, str]:
+    def _condition(self) -> tuple[bytes, str]:
         """(level, message): whether data arrive, or the reason and remedy; without numbers that change."""
-        state, where = link.state(), self.link_name()
+        state, where = self.link.state(), self.link_name()
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
         if not state.connected and not state.was_silent:
@@ -214,5 +202,5 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
 
     def _publish_health_on_change(self) -> None:
         """Publish health at once if its level has changed."""
-        if self.active and self._link is not None and self._reported != self._condition(self._link)[0]:
+        if self.active and self._link is not None and self._reported != self._condition()[0]:
             self.publish_health()

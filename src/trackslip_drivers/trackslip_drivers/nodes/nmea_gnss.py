@@ -63,7 +63,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         if p.ntrip.host:
             max_rate = MAX_RATE if "://" in p.serial_port else min(p.serial_baud // BITS_PER_CHAR, MAX_RATE)
             self._caster = NtripClient(
-                p.ntrip, self._credentials, max_rate, self._send_correction, lambda: self._position
+                p.ntrip, self._credentials, max_rate, self.link.write, lambda: self._position
             )
             self._caster.start()
 
@@ -73,11 +73,6 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
             self._caster.stop()
             self._caster = None
         super().deactivate()
-
-    def _send_correction(self, message: bytes) -> None:
-        """Send a correction to the receiver."""
-        if self._link is not None:
-            self._link.write(message)
 
     def open_port(self) -> SerialPort:
         """Open the serial port or socket."""

@@ -114,14 +114,11 @@ class SickNode(DriverNode[SickParameters, bytes]):
         with self._lock:
             action = self._session.step(now_ns)
             self.period = scan_period(self.settings, self._session.baud)
-        link = self._link
-        if link is None:
-            return
         if action.baud is not None:
             baud = action.baud
-            link.call_with_port(lambda port: port.set_baud(baud))
+            self.link.call_with_port(lambda port: port.set_baud(baud))
         if action.write:
-            link.write(action.write)
+            self.link.write(action.write)
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
         """Decode received bytes, and publish."""

@@ -8,7 +8,7 @@ bits are left out.
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from typing import NamedTuple
 
@@ -124,8 +124,8 @@ class Codec:
 
     Args:
         message: the frame in the DBC.
-        scaled: signals to return as values in the DBC's unit.
-        raw: signals to return as raw integers (floating-point signals as values).
+        signals: names of the signals to return, as values in the DBC's unit.
+        raw: those to return as raw integers (floating-point signals as values).
         protection: counter and checksum.
 
     Raises:
@@ -133,14 +133,15 @@ class Codec:
     """
 
     def __init__(
-        self, message: Message, scaled: Iterable[str], raw: Iterable[str], protection: Protection
+        self, message: Message, signals: Iterable[str], raw: Collection[str], protection: Protection
     ) -> None:
         self.name = message.name
         self.length = message.length
         self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # from the DBC; 0: not given
-        self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
-        integers = frozenset(name for name in raw if not self.fields[name].floating)
-        self._requested = [(name, field, name in integers) for name, field in self.fields.items()]
+        self.fields = {name: field_of(message, name) for name in signals}
+        self._requested = [
+            (name, field, name in raw and not field.floating) for name, field in self.fields.items()
+        ]
         self.is_exact = protection.unused_bits_zero  # reject payloads longer than in the DBC
         self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
         self._counter = field_of(message, protection.counter) if protection.counter else None

@@ -23,13 +23,7 @@ from trackslip_drivers.protocols.can_binding import Binder
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection
 from trackslip_drivers.protocols.can_dbc import error_line, read_dbc
 from trackslip_drivers.protocols.can_roles import read_roles
-from trackslip_drivers.protocols.can_timing import (
-    CountedFrames,
-    Frame,
-    FrameTiming,
-    TimingEvent,
-    UncountedFrames,
-)
+from trackslip_drivers.protocols.can_timing import CountedFrames, Frame, FrameTiming, UncountedFrames
 
 ERROR_FLAG = 1 << 29  # set in the id of error frames by the transport
 STANDARD_FLAG = 1 << 31  # marks an 11-bit id, to distinguish it from a 29-bit one
@@ -86,33 +80,20 @@ class FrameSet:
             self.codecs[name] = self._make_codec(message, protection)
         self._ids = {name: _flagged_id(message) for name, message in self.by_name.items()}
         self._by_id = {identifier: self.codecs[name] for name, identifier in self._ids.items()}
-        self._by_group = {
-            _parameter_group(message.frame_id): self.codecs[name]
-            for name, message in self.by_name.items()
-            if message.protocol == "j1939" and message.is_extended_frame
-        }
-        self._by_group_without_j1939 = {
-            _parameter_group(message.frame_id): (name, message.frame_id)
-            for name, message in self.by_name.items()
-            if message.protocol != "j1939" and message.is_extended_frame
-        }
+        self._by_group: dict[int, Codec] = {}
+        self._by_group_without_j1939: dict[int, tuple[str, int]] = {}
+        for message in used:
+            group = _parameter_group(message.frame_id)
+            if message.is_extended_frame and message.protocol == "j1939":
+                self._by_group[group] = self.codecs[message.name]
+            elif message.is_extended_frame:
+                self._by_group_without_j1939[group] = message.name, message.frame_id
 
     def _make_codec(self, message: Message, protection: Protection) -> Codec:
-        raw = {
-            position.signal_id.signal
-            for position in self.bindings.position_signals.values()
-            if position.signal_id.frame == message.name
-        }
-        used = {
-            signal_id.signal for signal_id in self.bindings.signal_ids() if signal_id.frame == message.name
-        }
-        order = [signal.name for signal in message.signals if signal.name in used]
-        return Codec(
-            message,
-            [name for name in order if name not in raw],
-            [name for name in order if name in raw],
-            protection,
-        )
+        used = {one.signal for one in self.bindings.signal_ids() if one.frame == message.name}
+        positions = [position.signal_id for position in self.bindings.position_signals.values()]
+        raw = {one.signal for one in positions if one.frame == message.name}
+        return Codec(message, [s.name for s in message.signals if s.name in used], raw, protection)
 
     def find_codec(self, arbitration_id: int) -> Codec | None:
         """The codec of an id in the transport's format; None for frames without a role."""
@@ -123,11 +104,9 @@ class FrameSet:
 
     def find_other_source(self, arbitration_id: int) -> tuple[str, int] | None:
         """(name, DBC id) of the frame that differs only by source address or priority; None if none does."""
-        return (
-            self._by_group_without_j1939.get(_parameter_group(arbitration_id))
-            if arbitration_id < _EXTENDED
-            else None
-        )
+        if arbitration_id >= _EXTENDED:
+            return None
+        return self._by_group_without_j1939.get(_parameter_group(arbitration_id))
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame; ``values`` are in the DBC's units.
@@ -223,8 +202,7 @@ class FrameDecoder:
         for frame in {
             signal_id.frame for signal_id in self._frames.bindings.signal_ids() if signal_id.source < 0
         }:
-            codecs = {identifier: self._frames.find_codec(identifier) for identifier in self._timings}
-            addresses = {key & 0xFF for key, codec in codecs.items() if codec and codec.name == frame}
+            addresses = {timing.source for timing in self._timings.values() if timing.name == frame}
             if len(addresses) > 1:
                 sources = " and ".join(f"0x{source:02X}" for source in sorted(addresses))
                 remedy = "set source: one of them in its roles"
@@ -247,28 +225,18 @@ class FrameDecoder:
 
     def cycle_ns(self, name: str) -> float:
         """The longest measured cycle of a frame's senders, ns; 0 while none is known."""
-        codecs = [self._frames.find_codec(identifier) for identifier in self._timings]
-        cycles = [
-            timing.cycle_ns or 0.0
-            for codec, timing in zip(codecs, self._timings.values(), strict=True)
-            if codec is not None and codec.name == name
-        ]
-        return max(cycles, default=0.0)
+        timings = (timing for timing in self._timings.values() if timing.name == name)
+        return max((timing.cycle_ns or 0.0 for timing in timings), default=0.0)
 
     def _add_timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
         if len(self._timings) >= _MAX_SENDERS:
             self._timings.clear()  # a bus full of random ids
-        tally = self._tally
-
-        def report(event: TimingEvent, times: int) -> None:
-            tally.add(codec.name, event, times)
-
         timing: FrameTiming
         source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
         if codec.modulus:
-            timing = CountedFrames(codec.nominal_ns, codec.modulus, report, codec.name, source)
+            timing = CountedFrames(codec.nominal_ns, codec.modulus, self._tally, codec.name, source)
         else:
-            timing = UncountedFrames(codec.nominal_ns, report, codec.name, source)
+            timing = UncountedFrames(codec.nominal_ns, self._tally, codec.name, source)
         self._timings[arbitration_id] = timing
         return timing
 

@@ -125,8 +125,7 @@ def _parse_role(where: str, name: str, entry: Any) -> Role:
         raise InputError(
             f"{where}: minus: a position is one signal; accepted: 'minus' of pressures, speeds, flows"
         )
-    defaults = Role._field_defaults | {"signal": ""}
-    role = Role(**{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
+    role = Role(**_convert_values(where, entry, Role._field_defaults | {"signal": ""}))
     if role.sign not in (1, -1):
         raise InputError(f"{where}: sign: {role.sign} is out of range; accepted: 1 or -1")
     for key in ("ratio", *_POSITION_KEYS):
@@ -138,11 +137,9 @@ def _parse_role(where: str, name: str, entry: Any) -> Role:
 
 
 def _parse_protection(where: str, entry: Any) -> Protection:
-    entry, defaults = section(where, entry), Protection._field_defaults
+    entry = section(where, entry)
     check_keys(where, entry, (), Protection._fields)
-    protection = Protection(
-        **{key: _convert_value(f"{where}: {key}", entry[key], defaults[key]) for key in entry}
-    )
+    protection = Protection(**_convert_values(where, entry, Protection._field_defaults))
     if protection.checksum and protection.checksum_type not in CHECKSUMS:
         accepted = ", ".join(CHECKSUMS)
         raise InputError(
@@ -151,6 +148,7 @@ def _parse_protection(where: str, entry: Any) -> Protection:
     return protection
 
 
-def _convert_value(where: str, value: Any, default: Any) -> Any:
-    """The value, converted to the type of the key's default."""
-    return convert_value(where, value, type(default), Spec(""))
+def _convert_values(where: str, entry: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """The values by key, each converted to the type of the key's default."""
+    kinds = {key: type(defaults[key]) for key in entry}
+    return {key: convert_value(f"{where}: {key}", entry[key], kinds[key], Spec("")) for key in entry}

@@ -13,11 +13,12 @@ not enter. Without a counter it is the difference of stamps.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from itertools import accumulate
 from typing import NamedTuple
 
+from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_cycle import PROMPT_TOLERANCE, CycleMeter
 from trackslip_drivers.stamping import PeriodicStamps
@@ -38,9 +39,6 @@ class TimingEvent(Enum):
     ALIVE_REPEATED = "alive counter repeated"
     BURST = "arrived in a burst"
     CUT_OFF = "waited for the next while the bus was reopened"
-
-
-Report = Callable[[TimingEvent, int], None]  # event, and number of frames
 
 
 class Frame(NamedTuple):
@@ -72,14 +70,14 @@ class FrameTiming(ABC):
 
     Args:
         nominal_ns: the DBC's cycle; 0: not given.
-        report: called with each event and the number of frames.
+        tally: counts events, under ``name``.
         name, source: of the frames.
     """
 
-    def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
-        self._name, self._source = name, source
+    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int) -> None:
+        self.name, self.source = name, source
         self._meter = CycleMeter(nominal_ns)
-        self._report = report
+        self._tally = tally
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
         self._seen_ns = 0  # arrival of the last frame seen
         self._stamp_ns = 0  # stamp of the last frame returned
@@ -99,15 +97,15 @@ class FrameTiming(ABC):
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """Add a frame that passed all checks; returns the frames whose times are known now."""
 
-    def _timed_frame(self, arrival_ns: int, values: Mapping[str, Value], cycles: int | None) -> Frame:
+    def _timed_frame(self, frame: _Arrival, cycles: int | None) -> Frame:
         """The frame with its times; ``cycles`` since the last one: 0 if unknown, None without a counter."""
         cycle_ns = self._meter.cycle_ns
-        stamp_ns = self._stamp(arrival_ns, cycles)
+        stamp_ns = self._stamp(frame.arrival_ns, cycles)
         elapsed_ns = round(cycles * cycle_ns) if cycles and cycle_ns else stamp_ns - self._stamp_ns
         if self._accepted_ns is None:
             elapsed_ns = 0
-        self._accepted_ns, self._stamp_ns = arrival_ns, stamp_ns
-        return Frame(self._name, self._source, stamp_ns, max(elapsed_ns, 0), values)
+        self._accepted_ns, self._stamp_ns = frame.arrival_ns, stamp_ns
+        return Frame(self.name, self.source, stamp_ns, max(elapsed_ns, 0), frame.values)
 
     def _stamp(self, arrival_ns: int, cycles: int | None) -> int:
         """The arrival with its jitter filtered out, ns."""
@@ -127,12 +125,12 @@ class CountedFrames(FrameTiming):
     """Frames of a sender with a counter.
 
     Args:
-        nominal_ns, report, name, source: see ``FrameTiming``.
+        nominal_ns, tally, name, source: see ``FrameTiming``.
         modulus: of the counter.
     """
 
-    def __init__(self, nominal_ns: float, modulus: int, report: Report, name: str, source: int) -> None:
-        super().__init__(nominal_ns, report, name, source)
+    def __init__(self, nominal_ns: float, modulus: int, tally: Tally, name: str, source: int) -> None:
+        super().__init__(nominal_ns, tally, name, source)
         self._modulus = modulus
         self._count: int | None = None
         self._held: list[_HeldFrame] = []
@@ -141,32 +139,32 @@ class CountedFrames(FrameTiming):
         """Also drop the frames held, and report them."""
         super().resume()
         if self._held:
-            self._report(TimingEvent.CUT_OFF, len(self._held))
+            self._tally.add(self.name, TimingEvent.CUT_OFF, len(self._held))
         self._held, self._count = [], None
 
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """See ``FrameTiming``."""
         assert count is not None
-        timed = []
+        frame, timed = _Arrival(arrival_ns, values, count), list[Frame]()
         if self._held:
             last = self._held[-1].frame
             cycles, late = self._cycles_since(last.number, last.arrival_ns, count, arrival_ns)
             if not self._possible_turns(late):
-                self._held.append(_HeldFrame(_Arrival(arrival_ns, values, count), cycles, late))
+                self._held.append(_HeldFrame(frame, cycles, late))
                 return self._release_held() if self._has_caught_up() else []
             timed = self._release_held()
         if self._accepted_ns is None or self._count is None:
-            return [self._accept_frame(arrival_ns, values, count, 0)]
+            return [self._accept_frame(frame, 0)]
         # A repeated count is timed from the last frame seen: a stuck counter never looks like a lost turn.
         since_ns = self._seen_ns if count == self._count else self._accepted_ns
         cycles, late = self._cycles_since(self._count, since_ns, count, arrival_ns)
         self._seen_ns = arrival_ns
         if self._possible_turns(late):
-            self._held = [_HeldFrame(_Arrival(arrival_ns, values, count), cycles, late)]
+            self._held = [_HeldFrame(frame, cycles, late)]
         elif cycles:
-            timed.append(self._accept_frame(arrival_ns, values, count, cycles))
+            timed.append(self._accept_frame(frame, cycles))
         else:
-            self._report(TimingEvent.ALIVE_REPEATED, 1)
+            self._tally.add(self.name, TimingEvent.ALIVE_REPEATED)
         return timed
 
     def _cycles_since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
@@ -194,35 +192,35 @@ class CountedFrames(FrameTiming):
         turns, timed = self._lost_turns(), []
         for held in self._held:
             if held.cycles or turns:
-                timed.append(self._accept_frame(*held.frame, held.cycles + turns * self._modulus))
+                timed.append(self._accept_frame(held.frame, held.cycles + turns * self._modulus))
             else:
-                self._report(TimingEvent.ALIVE_REPEATED, 1)
+                self._tally.add(self.name, TimingEvent.ALIVE_REPEATED)
             turns = 0
         self._held = []
         return timed
 
-    def _accept_frame(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
+    def _accept_frame(self, frame: _Arrival, cycles: int) -> Frame:
         """Time a frame ``cycles`` after the previous one (0: unknown); reports frames lost between."""
         if cycles > 1:
-            self._report(TimingEvent.LOST, cycles - 1)
+            self._tally.add(self.name, TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
-            self._meter.add(arrival_ns - self._accepted_ns, cycles)
-        self._count, self._seen_ns = count, arrival_ns
-        return self._timed_frame(arrival_ns, values, cycles)
+            self._meter.add(frame.arrival_ns - self._accepted_ns, cycles)
+        self._count, self._seen_ns = frame.number, frame.arrival_ns
+        return self._timed_frame(frame, cycles)
 
 
 class UncountedFrames(FrameTiming):
     """Frames of a sender without a counter."""
 
-    def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
-        super().__init__(nominal_ns, report, name, source)
+    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int) -> None:
+        super().__init__(nominal_ns, tally, name, source)
         self._held: _Arrival | None = None
 
     def resume(self) -> None:
         """Also drop the frame held, and report it."""
         super().resume()
         if self._held:
-            self._report(TimingEvent.CUT_OFF, 1)
+            self._tally.add(self.name, TimingEvent.CUT_OFF)
         self._held = None
 
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
@@ -230,16 +228,14 @@ class UncountedFrames(FrameTiming):
         frame = _Arrival(arrival_ns, values)
         since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns
         if self._accepted_ns is None:
-            return [self._timed_frame(arrival_ns, values, None)]
+            return [self._timed_frame(frame, None)]
         self._meter.add(since_ns, 1)
         cycle_ns = self._meter.cycle_ns
         if cycle_ns and 0 <= since_ns < PROMPT_TOLERANCE * cycle_ns:
-            self._report(TimingEvent.BURST, 1)
+            self._tally.add(self.name, TimingEvent.BURST)
             if self._held:
                 self._held = frame
             return []
-        timed = (
-            [] if self._held is None else [self._timed_frame(self._held.arrival_ns, self._held.values, None)]
-        )
+        timed = [] if self._held is None else [self._timed_frame(self._held, None)]
         self._held = frame if cycle_ns and since_ns > _PAUSE_CYCLES * cycle_ns else None
-        return timed if self._held else [*timed, self._timed_frame(arrival_ns, values, None)]
+        return timed if self._held else [*timed, self._timed_frame(frame, None)]

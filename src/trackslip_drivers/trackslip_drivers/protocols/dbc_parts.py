@@ -60,10 +60,11 @@ def load_readable_frames(text: str) -> tuple[Database, Mapping[str, str]]:
         good = _loadable_frames(shared, parts, left_out)
         if not good:
             raise
-        return _load(shared + "\n" + "".join(part.text() for part in good)), left_out
+        return _load(shared, *good), left_out
 
 
-def _load(text: str) -> Database:
+def _load(shared: str, *frames: _FrameText) -> Database:
+    text = "\n".join((shared, *(frame.text() for frame in frames)))
     database = cantools.database.load_string(text, database_format="dbc", strict=False)
     if not isinstance(database, Database):
         raise ValueError("not of CAN frames")
@@ -94,7 +95,7 @@ def _split_frames(text: str) -> tuple[str, list[_FrameText]]:
 def _loadable_frames(shared: str, parts: Sequence[_FrameText], left_out: dict[str, str]) -> list[_FrameText]:
     """The parts that load, found by bisection; the others are added to ``left_out``."""
     try:
-        _load(shared + "\n" + "".join(part.text() for part in parts))
+        _load(shared, *parts)
         return list(parts)
     except Exception as error:  # noqa: BLE001 (damaged text can raise anything in the parser)
         if len(parts) > 1 and len(left_out) <= _MAX_BAD_FRAMES:
@@ -114,13 +115,14 @@ def _drop_bad_statements(shared: str, part: _FrameText) -> _FrameText | None:
     statements: list[str] = []
     for piece in sorted(part.statements, key=lambda piece: _SIGNAL_DEFINITION.match(piece) is None):
         try:
-            _load(shared + "\n" + _FrameText(part.name, part.frame, [*statements, piece]).text())
+            _load(shared, part._replace(statements=[*statements, piece]))
             statements.append(piece)
         except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
             if _SIGNAL_DEFINITION.match(piece):
                 return None
+    reduced = part._replace(statements=statements)
     try:
-        _load(shared + "\n" + _FrameText(part.name, part.frame, statements).text())
+        _load(shared, reduced)
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None
-    return part._replace(statements=statements)
+    return reduced

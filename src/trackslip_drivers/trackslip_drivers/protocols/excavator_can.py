@@ -16,7 +16,7 @@ from enum import Enum
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_binding import PositionSignal, SignalId
+from trackslip_drivers.protocols.can_binding import PositionSignal, ScaledSignal, SignalId
 from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_frames import FrameDecoder, FrameSet, Rejection
 from trackslip_drivers.protocols.can_roles import MOTIONS, SIDES, SPOOLS, SUPPLY, SWING
@@ -111,25 +111,17 @@ class _Output(ABC):
     def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
         self.tally = tally
         self._timeout_ns = round(p.pairing_timeout * _NS_PER_S)
-        bindings = frames.bindings
-        scaled = {
-            r: bindings.scaled_signals[r]
-            for r in (*self.leading, *self.others)
-            if r in bindings.scaled_signals
-        }
-        self.position_signals = {
-            r: bindings.position_signals[r] for r in self.leading if r in bindings.position_signals
-        }
-        signal_ids = {role: [part.signal_id for part in parts] for role, parts in scaled.items()}
-        signal_ids |= {role: [position.signal_id] for role, position in self.position_signals.items()}
-        encoders = {role: _make_encoder(position, p) for role, position in self.position_signals.items()}
-        self.readings = {
-            role: [
-                _Reading(role, signal_id, role in self.leading, encoders.get(role)) for signal_id in of_role
-            ]
-            for role, of_role in signal_ids.items()
-        }
-        self._parts = {role: tuple(zip(self.readings[role], scaled[role], strict=True)) for role in scaled}
+        self.bindings = frames.bindings
+        self.readings: dict[str, list[_Reading]] = {}
+        self._parts: dict[str, tuple[tuple[_Reading, ScaledSignal], ...]] = {}
+        for role in (*self.leading, *self.others):
+            is_leading = role in self.leading
+            if (position := self.bindings.position_signals.get(role)) is not None:
+                encoder = _make_encoder(position, p)
+                self.readings[role] = [_Reading(role, position.signal_id, is_leading, encoder)]
+            elif (parts := self.bindings.scaled_signals.get(role)) is not None:
+                self.readings[role] = [_Reading(role, part.signal_id, is_leading, None) for part in parts]
+                self._parts[role] = tuple(zip(self.readings[role], parts, strict=True))
         all_readings = [reading for readings in self.readings.values() for reading in readings]
         self._leading = [reading for reading in all_readings if reading.is_leading]
         self._others = [reading for reading in all_readings if not reading.is_leading]
@@ -249,7 +241,7 @@ class _Swing(_Output):
 
     def make_sample(self, stamp_ns: int) -> SwingSample | None:
         """The absolute angle in [−π, π] and its velocity; None while there is no velocity."""
-        (reading,), position = self.readings[SWING], self.position_signals[SWING]
+        (reading,), position = self.readings[SWING], self.bindings.position_signals[SWING]
         if isinstance(reading.motion, EncoderEvent):
             return None
         angle = (reading.value - position.zero_steps) * position.rad_per_step

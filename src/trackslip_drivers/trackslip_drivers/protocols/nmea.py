@@ -39,9 +39,9 @@ STATUS_OF_QUALITY = {
 _NO_FIX, _DEAD_RECKONING = 0, 6
 _QUALITY_OF_MODE = {"N": 0, "A": 1, "D": 2, "P": 2, "R": 4, "F": 5, "E": 6, "M": 7, "S": 8}  # of GNS
 _QUALITIES_BEST_FIRST = (RTK_FIXED, RTK_FLOAT, 2, 1, 6, 7, 8)
-_MAX_STDDEV = 1e4  # m
-_MAX_ALTITUDE = 1e5  # m, largest magnitude of an altitude
-_MAX_SPEED = 100.0  # m/s
+MAX_STDDEV = 1e4  # m
+MAX_ALTITUDE = 1e5  # m, largest magnitude of an altitude
+MAX_SPEED = 100.0  # m/s
 _MAX_SPEED_WITHOUT_COURSE = 0.2  # m/s, up to which receivers omit the course
 _KNOT, _KM_PER_H = 1852.0 / 3600.0, 1.0 / 3.6  # m/s
 _NS_PER_S = 1_000_000_000
@@ -154,18 +154,6 @@ def read_sentence(line: bytes) -> Sentence | Rejection:
     return Sentence(talker, kind, reading)
 
 
-def decode(line: bytes) -> Reading | Rejection | None:
-    """The reading of one line without its end; None for an unused kind of sentence.
-
-    Bytes before the last ``$`` are ignored: noise, or a binary message on the same line.
-    """
-    _, start, content = line.rpartition(b"$")
-    if not start:
-        return Rejection.NOT_NMEA
-    sentence = read_sentence(b"$" + content)
-    return sentence.reading if isinstance(sentence, Sentence) else sentence
-
-
 def yaw_of_heading(heading: float) -> float:
     """ψ in (−π, π] of h in °."""
     return math.pi - math.radians((heading + 90.0) % 360.0)
@@ -230,7 +218,7 @@ def _position(
     if math.isnan(latitude) or math.isnan(longitude):
         return Rejection.OUT_OF_RANGE
     altitude = sum(map(_number, heights))
-    if abs(altitude) > _MAX_ALTITUDE:
+    if abs(altitude) > MAX_ALTITUDE:
         return Rejection.OUT_OF_RANGE
     hdop = _number(dilution)
     time_ns = time_of_day_ns(fields[0])
@@ -240,7 +228,7 @@ def _position(
 def _gst(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     """GST: a standard deviation of 0 is impossible, and counts as unknown."""
     stated = [_number(value) for value in (parsed.stdLong, parsed.stdLat, parsed.stdAlt)]
-    if any(value < 0.0 or value >= _MAX_STDDEV for value in stated):
+    if any(value < 0.0 or value >= MAX_STDDEV for value in stated):
         return Rejection.OUT_OF_RANGE
     east, north, up = (value or math.nan for value in stated)
     return Gst(time_of_day_ns(fields[0]), east, north, up)
@@ -269,7 +257,7 @@ def _velocity(time_ns: int | None, speed: float, course: float) -> Velocity | Re
     """Velocity of a speed in m/s and a course in ° clockwise from true north; nan: unknown."""
     if math.isnan(speed) or (math.isnan(course) and speed > _MAX_SPEED_WITHOUT_COURSE):
         return Rejection.NO_VELOCITY
-    if not 0.0 <= speed < _MAX_SPEED or course < 0.0 or course > 360.0:
+    if not 0.0 <= speed < MAX_SPEED or course < 0.0 or course > 360.0:
         return Rejection.OUT_OF_RANGE
     if math.isnan(course):
         return Velocity(time_ns, 0.0, 0.0, 0.0, speed)
@@ -284,19 +272,20 @@ def _mode_rejection(mode: str, invalid: Rejection) -> Rejection | None:
 
 
 def _hdt(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
-    return _heading(None, parsed.headingT, parsed.headingTu, needs_fix=True)
+    return make_heading(None, parsed.headingT, parsed.headingTu, needs_fix=True)
 
 
 def _ths(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     if parsed.mi == "":
         return Rejection.NO_HEADING
-    return _mode_rejection(parsed.mi, Rejection.NO_HEADING) or _heading(None, parsed.headt)
+    return _mode_rejection(parsed.mi, Rejection.NO_HEADING) or make_heading(None, parsed.headt)
 
 
 def _pashr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
     if getattr(parsed, "gnssQual", "") == _NO_FIX:
         return Rejection.NO_FIX
-    return _heading(time_of_day_ns(fields[0]), parsed.trueHdg, parsed.trueHdgInd, _accuracy(parsed.hdgAcc))
+    time_ns, stddev = time_of_day_ns(fields[0]), heading_stddev(parsed.hdgAcc)
+    return make_heading(time_ns, parsed.trueHdg, parsed.trueHdgInd, stddev)
 
 
 def _avr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -305,9 +294,8 @@ def _avr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_FIX
     if parsed.gpsQual != 3:
         return Rejection.NOT_FIXED
-    return _heading(
-        time_of_day_ns(fields[1]), parsed.yaw % 360.0 if -180.0 <= parsed.yaw < 0.0 else parsed.yaw
-    )
+    heading = parsed.yaw % 360.0 if -180.0 <= parsed.yaw < 0.0 else parsed.yaw
+    return make_heading(time_of_day_ns(fields[1]), heading)
 
 
 def _hrp(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -316,7 +304,7 @@ def _hrp(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_HEADING
     if parsed.attmode not in ("2", "4"):
         return Rejection.NOT_FIXED
-    return _heading(time_of_day_ns(fields[1]), parsed.hdg, stddev=_accuracy(parsed.hdgstd))
+    return make_heading(time_of_day_ns(fields[1]), parsed.hdg, stddev=heading_stddev(parsed.hdgstd))
 
 
 def _hpr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -325,7 +313,7 @@ def _hpr(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_HEADING
     if fields[5] != "N":
         return Rejection.DEAD_RECKONING if fields[5] == "G" else Rejection.NO_HEADING
-    return _heading(time_of_day_ns(fields[1]), float(fields[2]))
+    return make_heading(time_of_day_ns(fields[1]), float(fields[2]))
 
 
 def _ksxt(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -334,12 +322,13 @@ def _ksxt(parsed: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_HEADING
     if fields[10] != "3":
         return Rejection.NOT_FIXED
-    return _heading(time_of_day_ns(fields[0][8:]), float(fields[4]))
+    return make_heading(time_of_day_ns(fields[0][8:]), float(fields[4]))
 
 
-def _heading(
+def make_heading(
     time_ns: int | None, heading: Any, reference: str = "T", stddev: float = 0.0, needs_fix: bool = False
-) -> Reading | Rejection:
+) -> Heading | Rejection:
+    """The reading of h in °; ``reference``: T for true north."""
     if heading == "":
         return Rejection.NO_HEADING
     if reference != "T":
@@ -349,8 +338,8 @@ def _heading(
     return Heading(time_ns, yaw_of_heading(heading), stddev, needs_fix)
 
 
-def _accuracy(degrees: Any) -> float:
-    """A standard deviation in rad; 0 if unknown."""
+def heading_stddev(degrees: Any) -> float:
+    """Standard deviation of a heading, rad; 0 if unknown."""
     stddev = _number(degrees)
     return math.radians(stddev) if 0.0 < stddev < 180.0 else 0.0
 

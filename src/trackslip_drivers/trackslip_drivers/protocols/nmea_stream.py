@@ -90,6 +90,7 @@ class NmeaStream:
         self._frames = FrameSplitter(0 if "://" in p.serial_port else p.serial_baud)
         self._clock = SenderClock(_CLOCK_TOLERANCE, _PATIENCE)
         self._position, self._direction, self._speed = EpochSource(), EpochSource(), EpochSource()
+        self._sources = (self._position, self._direction, self._speed)
         self._kinds: dict[str, int] = {}  # kind of sentence → end of the latest one
         self.reset()
 
@@ -101,13 +102,12 @@ class NmeaStream:
     @property
     def duplicates(self) -> int:
         """Measurements dropped as duplicates of an epoch."""
-        return self._position.duplicates + self._direction.duplicates + self._speed.duplicates
+        return sum(source.duplicates for source in self._sources)
 
     @property
     def duplicates_of_same_kind(self) -> int:
         """Duplicates from the same kind of message."""
-        sources = (self._position, self._direction, self._speed)
-        return sum(source.duplicates_of_same_kind for source in sources)
+        return sum(source.duplicates_of_same_kind for source in self._sources)
 
     @property
     def kinds(self) -> list[str]:
@@ -119,9 +119,8 @@ class NmeaStream:
         """Drop incomplete messages and all memory of earlier ones: the port was reopened."""
         self._frames.reset()
         self._clock.restart()
-        self._position.reset()
-        self._direction.reset()
-        self._speed.reset()
+        for source in self._sources:
+            source.reset()
         self._kinds.clear()
         self._burst_ns: int | None = None  # epoch of the present burst
         self._burst_end_ns: int | None = None

@@ -16,17 +16,20 @@ from typing import Any, NamedTuple
 from pyubx2 import UBX_MSGIDS, UBXReader
 
 from trackslip_drivers.protocols.nmea import (
+    MAX_ALTITUDE,
+    MAX_SPEED,
+    MAX_STDDEV,
     RTK_FIXED,
     RTK_FLOAT,
     Heading,
     Rejection,
     Velocity,
-    yaw_of_heading,
+    heading_stddev,
+    make_heading,
 )
 
 _MM = 1e-3
-_MAX_STDDEV = 1e4  # m
-_MAX_SPEED, _MAX_SPEED_STDDEV = 100.0, 10.0  # m/s, and of its standard deviation
+_MAX_SPEED_STDDEV = 10.0  # m/s
 _LEAP_MS = 18_000  # GPS ahead of UTC since 2017
 _DAY_MS = 86_400_000
 _NAV = 0x01
@@ -108,7 +111,7 @@ def _pvt(message: Any) -> Reading | Rejection:
 def _velocity(message: Any) -> Velocity | Rejection:
     """The velocity; an accuracy of 0 means unknown."""
     east, north, stddev = message.velE * _MM, message.velN * _MM, message.sAcc * _MM
-    if math.hypot(east, north) >= _MAX_SPEED or stddev >= _MAX_SPEED_STDDEV:
+    if math.hypot(east, north) >= MAX_SPEED or stddev >= _MAX_SPEED_STDDEV:
         return Rejection.OUT_OF_RANGE
     return Velocity(_time_ns(message.iTOW), east, north, stddev)
 
@@ -127,7 +130,7 @@ def _covariance(message: Any) -> Reading | Rejection:
     if not message.posCovValid:
         return Rejection.NO_FIX
     variances = (message.posCovEE, message.posCovNN, message.posCovDD)
-    if not all(0.0 < variance < _MAX_STDDEV**2 for variance in variances):
+    if not all(0.0 < variance < MAX_STDDEV**2 for variance in variances):
         return Rejection.OUT_OF_RANGE
     east, north, up = map(math.sqrt, variances)
     return Accuracy(_time_ns(message.iTOW), (east, north, up))
@@ -142,21 +145,19 @@ def _moving_base_heading(message: Any) -> Reading | Rejection:
         return Rejection.NO_PAIR
     if message.carrSoln != _FIXED_AMBIGUITIES:
         return Rejection.NOT_FIXED
-    if not 0.0 <= message.relPosHeading <= 360.0:
-        return Rejection.OUT_OF_RANGE
-    stddev = math.radians(message.accHeading) if 0.0 < message.accHeading < 180.0 else 0.0
-    return Heading(_time_ns(message.iTOW), yaw_of_heading(message.relPosHeading), stddev)
+    stddev = heading_stddev(message.accHeading)
+    return make_heading(_time_ns(message.iTOW), message.relPosHeading, stddev=stddev)
 
 
 def _position_rejection(message: Any, altitude: float) -> Rejection | None:
     in_range = abs(message.lat) <= 90.0 and abs(message.lon) <= 180.0
-    return None if in_range and not abs(altitude) > 1e5 else Rejection.OUT_OF_RANGE
+    return None if in_range and not abs(altitude) > MAX_ALTITUDE else Rejection.OUT_OF_RANGE
 
 
 def _accuracy(message: Any) -> Stddevs:
     """(east, north, up): hAcc for each horizontal axis, which is conservative; 0 means unknown."""
     horizontal, up = (
-        value * _MM if 0.0 < value * _MM < _MAX_STDDEV else math.nan for value in (message.hAcc, message.vAcc)
+        value * _MM if 0.0 < value * _MM < MAX_STDDEV else math.nan for value in (message.hAcc, message.vAcc)
     )
     return horizontal, horizontal, up
 
