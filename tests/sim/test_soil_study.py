@@ -22,7 +22,6 @@ from trackslip_sim.study.soil.trial import (
     draw_readings,
     load_setting,
     simulate_trial,
-    soil_states,
 )
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import Truth
@@ -113,8 +112,7 @@ def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
     assert 0.0 < result.moment_error < 0.1
     assert 0.0 < result.offset_residue < 5e3
     assert (result.into, math.isnan(result.recognised_after)) == ("", True)
-    last = list(soil_states(TRIAL, simulate_trial(TRIAL)))[-1]
-    assert last.classes["sand"] == result.probability
+    assert repr(run_trial(TRIAL)) == repr(result)  # nan differs from itself
 
 
 # Scores

@@ -101,7 +101,7 @@ def trials_of(
 
 
 def test_interrupted_study_resumes_run_by_run(
-    command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first = trials_of(command, monkeypatch, code=130, stop_at=3)
     second, third = trials_of(command, monkeypatch), trials_of(command, monkeypatch)

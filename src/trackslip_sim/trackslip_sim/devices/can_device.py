@@ -3,15 +3,13 @@
 """The excavator's valve controller on the CAN bus: three frames per cycle as in ``config/excavator.dbc``."""
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 
 from trackslip_drivers.protocols.can_frames import FrameSet
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
 
 ENCODERS, SPOOLS, PRESSURES = "encoders", "spools", "pressures"  # the frames, in the order sent
-
-_MAX_STAMPS = 10_000
 
 
 class CanDevice:
@@ -25,7 +23,6 @@ class CanDevice:
 
     Attributes:
         frames_emitted: number of frames per name.
-        stamps: stamps of the latest cycles, ns.
     """
 
     def __init__(
@@ -36,7 +33,6 @@ class CanDevice:
         start_ns: int,
     ) -> None:
         self.frames_emitted: Counter[str] = Counter()
-        self.stamps: deque[int] = deque(maxlen=_MAX_STAMPS)
         self._frames = frames
         self._limits = {
             name: [(signal, field.low, field.high) for signal, field in frames.codecs[name].fields.items()]
@@ -67,7 +63,6 @@ class CanDevice:
             for name, values in self._frame_signals(self._next_ns):
                 sent.append(self._frames.encode(name, values, self._alive_counter))
                 self.frames_emitted[name] += 1
-            self.stamps.append(self._next_ns)
             self._alive_counter += 1
             self._next_ns += self._cycle_ns
         return sent

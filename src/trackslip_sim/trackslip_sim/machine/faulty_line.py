@@ -17,7 +17,6 @@ Frame = tuple[int, bytes]  # (arbitration id, payload)
 BUS_OFF_FRAME: Frame = (ERROR_FLAG | 0x40, bytes(8))
 RESTARTED_FRAME: Frame = (ERROR_FLAG | 0x100, bytes(8))
 _FRAME_LENGTH = 8  # largest payload, bytes
-_NS_PER_S = 1_000_000_000
 
 
 class _BurstBuffer(Generic[T]):

@@ -45,10 +45,10 @@ class InputErrors:
 
 
 def soil_inputs(
-    truth: Truth, vehicle: Vehicle, limits: MotionParameters, errors: InputErrors, seed: int = 0
+    truth: Truth, vehicle: Vehicle, limits: MotionParameters, errors: InputErrors
 ) -> Iterator[SoilInput]:
     """Machine states and hydraulics at 100 Hz each, in the order of arrival."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     step = _PERIOD_NS * 1e-9
     at = truth.interpolate(np.arange(round(truth.duration / step)) * step)
     later = truth.interpolate(at.t + _HYDRAULICS_DELAY_NS * 1e-9)

@@ -21,7 +21,7 @@ from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprocke
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.records import Hydraulics, inputs_from_estimates
-from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
+from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.sensors import SensorNoise, tilt_readings
 from trackslip_sim.parameters import load_emulator_parameters
@@ -102,14 +102,6 @@ def _scenario_of(trial: Trial) -> Scenario:
     scenario = load_scenario(trial.scenario, trial.terrain, trial.duration)
     standing = (Segment(trial.standstill, 0.0, 0.0),) if trial.standstill > 0.0 else ()
     return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
-
-
-def soil_states(trial: Trial, truth: Truth, setting: Setting | None = None) -> Iterator[SoilState]:
-    """Soil states that the soil estimator publishes on a drive."""
-    setting = setting or load_setting()
-    for output in estimator_outputs(draw_readings(trial, truth, setting), setting):
-        if isinstance(output, SoilState):
-            yield output
 
 
 def estimator_outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
