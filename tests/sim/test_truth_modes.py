@@ -34,7 +34,7 @@ def test_thesis_manoeuvre_ends_as_far_apart_as_in_figures_6_1_and_6_2() -> None:
 @pytest.mark.parametrize("name", SOILS)
 def test_thesis_mode_balances_the_free_body(name: str) -> None:
     scenario = Scenario(name="turn", soil=name, segments=(Segment(20.0, 2.4, 2.0),))
-    end = simulate(scenario, mode="thesis").sample_at(20.0)
+    end = simulate(scenario, mode="thesis").interpolate(20.0)
     ground = soil(name)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
