@@ -86,9 +86,7 @@ class Graph:
 
     def kill(self, name):
         """Kill the node and start it again."""
-        self._running[name].asked = True
-        self._running[name].process.kill()
-        self._running[name].process.wait()
+        self._running[name].end(signal.SIGKILL)
         self._running[name] = self._start(name)
 
     def end(self, name):
