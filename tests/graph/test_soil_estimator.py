@@ -138,10 +138,8 @@ def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, obse
             *(np.zeros(3), Motion.UNKNOWN),
         ),
     ]
-    without, estimator = (
-        [i for i in inputs if not isinstance(i, Hydraulics)],
-        SoilEstimator(load_soil_parameters()),
-    )
+    without = [i for i in inputs if not isinstance(i, Hydraulics)]
+    estimator = SoilEstimator(load_soil_parameters())
     node.feed(without[:100], estimator)
     node.send(bad)
     node.feed(without[100:], estimator)

@@ -178,10 +178,8 @@ def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
     j[:, :, 0] = -slip * (0.5 * length - contact.x_e)
     pulls = []
     for load_lean in (0.0, lean):
-        rolling, q = (
-            Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), load_lean),
-            np.zeros((2, 1)),
-        )
+        rolling = Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), load_lean)
+        q = np.zeros((2, 1))
         fill_mobilised_shares(
             j, rolling, RollingError(np.zeros(2), np.zeros(2), 0.0), contact, np.array((0.01,)), q
         )

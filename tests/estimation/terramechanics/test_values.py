@@ -12,14 +12,7 @@ from trackslip_common.soils import soil
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.terramechanics import (
-    hydraulics,
-    resistance,
-    sinkage,
-    strength,
-    traction,
-    turning,
-)
+from trackslip_estimation.terramechanics import hydraulics, resistance, sinkage, strength, traction, turning
 
 FAST_TURN = 1.37  # rad/s, with one track braked: R = B/2
 NORMAL_MU_L = np.linspace(0.5, 1.3, 81)

@@ -86,10 +86,8 @@ def set_strength(seeder: Seeder, strength: StrengthSummary) -> None:
     """Set the strength of the newest soil state."""
     newest = seeder["newest"]
     for name in ("shear_modulus", "thrust_limit"):
-        newest[name], newest[f"{name}_interval"] = (
-            getattr(strength, name),
-            getattr(strength, f"{name}_interval"),
-        )
+        newest[name] = getattr(strength, name)
+        newest[f"{name}_interval"] = getattr(strength, f"{name}_interval")
     newest["effective_samples"] = strength.effective_samples
     largest = strength.thrust_limit / math.exp(_log_stddev(strength.thrust_limit_interval))
     newest["largest_thrust"] = largest if strength.identifiable else 0.0

@@ -94,9 +94,8 @@ def evaluate_forces(q: FloatArray, body: Body, balance: ForceBalance) -> None:
     for k in range(2):
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
-        slip_gain = body.length / (
-            max(abs(balance.u[k]), body.slip_floor) * soil[1]
-        )  # i l/K of one m/s of sliding
+        # i l/K of one m/s of sliding
+        slip_gain = body.length / (max(abs(balance.u[k]), body.slip_floor) * soil[1])
         x = (balance.u[k] - v) * slip_gain
         size = abs(x)
         if size < 1e-4:

@@ -109,9 +109,7 @@ def estimator_outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutp
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
     samples = results[[isinstance(measurement, Sprockets) for measurement in readings.arrivals]]
-    inputs = np.repeat(
-        inputs_from_estimates(samples["estimate"]), 2
-    )  # each reading, and its state if published
+    inputs = np.repeat(inputs_from_estimates(samples["estimate"]), 2)  # each reading, then its state
     for record, reading in zip(inputs[::2], readings.pressures, strict=True):
         reading.write_to(record)
     is_published = np.ones(len(inputs), np.bool_)
