@@ -60,8 +60,8 @@ class DemoMonitor(Node):
 
     def __init__(self) -> None:
         super().__init__("demo")
-        self.received: Counter[str] = Counter()
-        self.emitted: dict[str, int] = {}
+        self.received: Counter[str] = Counter()  # messages, per topic
+        self.emitted: dict[str, int] = {}  # messages that the emulator's devices sent, per topic
         self.finished = False
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
