@@ -84,30 +84,14 @@ class Chain:
         return self.stream.feed(data, self.now_ns) if data else []
 
     def _locate(self, s):
-        position = self.localizer.locate(
-            Fix(
-                s.stamp_ns,
-                s.latitude,
-                s.longitude,
-                s.altitude,
-                int(s.status),
-                np.diag(s.variances[:2]),
-                int(s.covariance_type),
-                s.variances[2],
-            )
-        )
+        place, covariance = (s.latitude, s.longitude, s.altitude), np.diag(s.variances[:2])
+        errors = int(s.status), covariance, int(s.covariance_type), s.variances[2]
+        position = self.localizer.locate(Fix(s.stamp_ns, *place, *errors))
         if not isinstance(position, AntennaPosition):
             return []
         x, y, yaw = pose_at(s.stamp_ns)[:3]
-        truth = x + 0.5 * np.cos(yaw), y + 0.5 * np.sin(yaw)
-        return [
-            (
-                s.stamp_ns / S,
-                position.east - truth[0],
-                position.north - truth[1],
-                position.covariance[0, 0] ** 0.5,
-            )
-        ]
+        east, north = position.east - x - 0.5 * np.cos(yaw), position.north - y - 0.5 * np.sin(yaw)
+        return [(s.stamp_ns / S, east, north, position.covariance[0, 0] ** 0.5)]
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])

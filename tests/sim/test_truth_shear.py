@@ -10,7 +10,7 @@ import pytest
 from trackslip_common.errors import InputError
 from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.truth.ground import Patch
@@ -49,8 +49,7 @@ def test_straight_motion_is_equation_3_3(name: str) -> None:
         30.0
     )  # the start's transient has decayed
     ground = soil(name)
-    area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
-    limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
+    limit = soil_thrust_limit(ground, VEHICLE)
     expected = thrust(end.left_slip, limit, ground.value("shear_modulus"), VEHICLE.contact_length)
     assert end.left_thrust == pytest.approx(expected, rel=0.01)
     assert end.left_thrust[0] == pytest.approx(0.5 * ground.value("mu_r") * VEHICLE.weight, rel=1e-3)
