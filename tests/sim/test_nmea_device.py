@@ -19,7 +19,7 @@ from trackslip_estimation.gnss.localizer import AntennaPosition, Fix, GnssLocali
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
-from trackslip_sim.machine.faults import Fault, Faults
+from trackslip_sim.machine.faults import KINDS, Fault, Faults
 from trackslip_sim.machine.faulty_line import FaultySerial
 from trackslip_sim.machine.gnss_model import GnssModel
 from trackslip_sim.machine.placement import Placement
@@ -150,21 +150,12 @@ def test_one_antenna_has_no_heading():
     assert headings == []
 
 
-KINDS = {
-    "power_cycle": None,
-    "unplug": None,
-    "lost_bytes": 0.02,
-    "doubled_bytes": 0.02,
-    "corrupted_bytes": 0.02,
-    "wrong_baud": None,
+GNSS_KINDS = [*(name for name, kind in KINDS.items() if "gnss" in kind.sensors), "another datum"]
+VALUES = {
+    **dict.fromkeys(("lost_bytes", "doubled_bytes", "corrupted_bytes"), 0.02),
     "bursts": 0.7,
-    "stuck": None,
-    "rtk_float": None,
-    "code_only": None,
-    "no_fix": None,
     "multipath": 1.5,
     "clock_step": 18.0,
-    "another datum": None,
 }
 
 
@@ -174,13 +165,12 @@ def test_a_hundred_faults_are_survived():
     chooser, chain = random.Random(7), Chain()
     chain.run(2.0)
     for count in range(100):
-        kind = list(KINDS)[count % len(KINDS)]
+        kind = GNSS_KINDS[count % len(GNSS_KINDS)]
         begin, duration = chain.now_ns / S, chooser.uniform(0.2, 2.0)
         if kind == "another datum":  # base station in another frame: a temporary offset of 1.7 m
             chain.faults.add(Fault("gnss", "multipath", begin, duration, 1.7), chain.now_ns)
         else:
-            value = KINDS[kind] or 0.0
-            chain.faults.add(Fault("gnss", kind, begin, duration, value), chain.now_ns)
+            chain.faults.add(Fault("gnss", kind, begin, duration, VALUES.get(kind, 0.0)), chain.now_ns)
         chain.run(duration + (13.0 if kind == "power_cycle" else 1.5))
         places, headings = chain.run(1.0)
         assert len(places) >= 9, kind
