@@ -45,12 +45,6 @@ def test_each_mistake_is_named_in_one_line(change, named):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("text", ["", "[1]", "{", "{sensor: can}", "{sensor: can, kind: stuck, until: 3}"])
-def test_text_that_is_no_fault_is_refused(text):
-    with pytest.raises(InputError, match=r"accepted|not YAML"):
-        parse_fault(text, 0.0)
-
-
 def test_text_and_scenario_hold_the_same_record():
     assert parse_fault("{sensor: can, kind: stuck, duration: 2}", 7.5) == Fault("can", "stuck", 7.5, 2.0)
     tree = {"name": "x", "soil": "sand", "segments": [{"duration": 1, "left": 1, "right": 1}]}
