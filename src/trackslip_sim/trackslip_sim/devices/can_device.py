@@ -3,13 +3,15 @@
 """The excavator's valve controller on the CAN bus: three frames per cycle as in ``config/excavator.dbc``."""
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
 from trackslip_drivers.protocols.can_frames import FrameSet
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
 
 ENCODERS, SPOOLS, PRESSURES = "encoders", "spools", "pressures"  # the frames, in the order sent
+
+_MAX_STAMPS = 10_000
 
 
 class CanDevice:
@@ -23,6 +25,7 @@ class CanDevice:
 
     Attributes:
         frames_emitted: number of frames per name.
+        stamps: stamps of the latest cycles, ns.
     """
 
     def __init__(
@@ -33,6 +36,7 @@ class CanDevice:
         start_ns: int,
     ) -> None:
         self.frames_emitted: Counter[str] = Counter()
+        self.stamps: deque[int] = deque(maxlen=_MAX_STAMPS)
         self._frames = frames
         self._limits = {
             name: [(signal, field.low, field.high) for signal, field in frames.codecs[name].fields.items()]
@@ -63,6 +67,7 @@ class CanDevice:
             for name, values in self._frame_signals(self._next_ns):
                 sent.append(self._frames.encode(name, values, self._alive_counter))
                 self.frames_emitted[name] += 1
+            self.stamps.append(self._next_ns)
             self._alive_counter += 1
             self._next_ns += self._cycle_ns
         return sent

@@ -6,6 +6,7 @@ The unit works in ticks of 1/71.11 s. It sends a decimal line every sixth tick (
 frame every tick; a slow line reduces this rate. A line is measured when its first character is sent.
 """
 
+from collections import deque
 from collections.abc import Callable
 
 from trackslip_drivers.protocols.watson import (
@@ -31,6 +32,7 @@ _SPACE_WINDOW_NS = 2_500_000_000  # after a reinitialise command
 _NORTH = ord("N")
 _INERTIAL_LABEL = "I"
 _REFERENCE_LABEL = "R"
+_MAX_STAMPS = 10_000
 
 
 class WatsonDevice:
@@ -45,6 +47,7 @@ class WatsonDevice:
 
     Attributes:
         lines_emitted: number of lines or frames begun.
+        stamps: stamps of the latest of these, ns.
     """
 
     def __init__(
@@ -56,6 +59,7 @@ class WatsonDevice:
         start_ns: int,
     ) -> None:
         self.lines_emitted = 0
+        self.stamps: deque[int] = deque(maxlen=_MAX_STAMPS)
         self.north_offset_stored = False  # must stay False: no driver may store an offset
         self._layout = layout
         self._line = line
@@ -79,6 +83,7 @@ class WatsonDevice:
             sent = self._encode_sample(self._next_ns)
             self._line.send(sent, self._next_ns)
             self.lines_emitted += 1
+            self.stamps.append(self._next_ns)
             ticks = 1 if self._binary else _TICKS_PER_LINE
             self._next_ns += TICK_NS * max(ticks, -(-self._line.transfer_ns(len(sent)) // TICK_NS))
         return self._line.read(now_ns)
