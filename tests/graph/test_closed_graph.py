@@ -63,17 +63,8 @@ def test_graph_is_visible_only_to_named_peers(programs: Any, node: str, stranger
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces here")
     code = STRANGER.format(seconds=PATIENCE if expected.startswith("seen") else 8.0)
-    command = [
-        "unshare",
-        "-rn",
-        "sh",
-        "-c",
-        HOSTS,
-        "sh",
-        programs.path("wheel_adapter"),
-        sys.executable,
-        code,
-    ]
+    shell = ["unshare", "-rn", "sh", "-c", HOSTS, "sh"]
+    command = [*shell, programs.path("wheel_adapter"), sys.executable, code]
     second = str(int(programs.environment["ROS_DOMAIN_ID"]) + 101)  # outside the range of other tests
     environment = {**programs.environment, "NODE": node, "STRANGER": stranger, "SECOND_DOMAIN": second}
     for name in (RANGE, PEERS):

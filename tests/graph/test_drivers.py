@@ -27,6 +27,7 @@ from fixtures.plugged_devices import (
     yard,
 )
 
+from trackslip_common.make import stamp_ns_of
 from trackslip_drivers.nodes.sick_pls import SickNode
 from trackslip_drivers.protocols.sick_session import Phase
 
@@ -60,13 +61,9 @@ SHORTEST_SILENCE = 0.05  # s; the CAN driver may report a longer silence
 TOPIC = {"watson_imu": "imu/data_raw", "sick_pls": "scan", "can_driver": "sprockets"}
 
 
-def stamps_ns(messages):
-    return [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in messages]
-
-
 def assert_stamped(messages, began_ns):
     """Assert that stamps rise strictly and lie between the start of the test and now."""
-    stamps = stamps_ns(messages)
+    stamps = [stamp_ns_of(message) for message in messages]
     assert all(a < b for a, b in itertools.pairwise(stamps))
     assert began_ns - 500_000_000 < stamps[0]
     assert stamps[-1] <= time.time_ns()
@@ -222,14 +219,14 @@ def test_can(bench, programs, observer):
     last = messages[-50:]
     assert np.mean([m.velocity for m in last], axis=0) == pytest.approx(SPEED, abs=0.02)
     turned = np.subtract(last[-1].position, last[0].position)
-    seconds = (stamps_ns(last)[-1] - stamps_ns(last)[0]) * 1e-9
+    seconds = (stamp_ns_of(last[-1]) - stamp_ns_of(last[0])) * 1e-9
     assert turned / seconds == pytest.approx(SPEED, abs=0.1)
     for message in hydraulics:
         assert message.header.frame_id == "base_link"
         assert (message.left_pressure, message.right_pressure) == pytest.approx((4.0e6, -2.0e6), rel=0.01)
         assert (message.left_spool, message.right_spool) == pytest.approx((0.5, -0.25), abs=0.01)
         assert message.supply_pressure == pytest.approx(18.0e6, rel=0.01)
-    assert_stamped(hydraulics, stamps_ns(messages)[0])
+    assert_stamped(hydraulics, stamp_ns_of(messages[0]))
 
 
 def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, observer, device, udp_port):

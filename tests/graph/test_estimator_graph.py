@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.observer import last_values
-from fixtures.sensor_messages import MS, pose, sprockets, stamped
+from fixtures.sensor_messages import pose, sprockets, stamped
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import Imu, LaserScan
 from trackslip_msgs.msg import MeasurementReport
@@ -19,6 +19,7 @@ from trackslip_msgs.msg import MeasurementReport
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import open_bag
+from trackslip_common.make import stamp_ns_of
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteScanner
 from trackslip_sim.parameters import load_emulator_parameters
@@ -215,7 +216,7 @@ def test_every_measurement_is_reported_and_replayed(programs, observer):
         if topic != "gnss":  # its outcome is that of the most probable hypothesis
             assert (report.nis > report.gate) == (outcome == R.GATED)
     assert len(graph.reports) == ordinary_count + len(wrong())
-    stamps = [m.header.stamp.sec * 1000 * MS + m.header.stamp.nanosec for m in graph.odometry]
+    stamps = [stamp_ns_of(m) for m in graph.odometry]
     assert stamps == sorted(set(stamps))
     assert np.isfinite([m.pose.pose.position.x for m in graph.odometry]).all()
     path = graph.bag()

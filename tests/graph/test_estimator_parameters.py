@@ -19,10 +19,8 @@ def set_gate_probability(observer, value):
 @pytest.mark.slow
 def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
     speeds, poses = observer.publisher("sprockets"), observer.publisher("box_pose")
-    reports, texts = (
-        observer.subscribe("measurement_reports"),
-        observer.subscribe("slip_estimator/parameters"),
-    )
+    reports = observer.subscribe("measurement_reports")
+    texts = observer.subscribe("slip_estimator/parameters")
     healths = observer.healths()
     recorder = programs.node("record", output="bag")
     estimator = programs.node("slip_estimator", autostart=False)

@@ -10,37 +10,25 @@ import pytest
 from fixtures.observer import values_of
 from std_msgs.msg import String
 
+from trackslip_sim.machine.faults import KINDS, SENSORS
+
 pytestmark = pytest.mark.xdist_group("graph")
 
 NODE = {"can": "can_driver", "watson": "watson_imu", "sick": "sick_pls", "gnss": "nmea_gnss"}
 RATE = {"can": 100.0, "watson": 11.85, "sick": 1 / 0.24, "gnss": 10.0}  # Hz
 OK, WARN = b"\0", b"\1"
-SERIAL = ("watson", "sick", "gnss")
-ALL = ("can", *SERIAL)
 SILENCES = "scan: scans stopped coming"
 LONG = 1500.0  # s of driving: longer than any test
 
-# Random faults: kind → (sensors, value).
-RANDOM_FAULTS = {
-    "power_cycle": (ALL, None),
-    "unplug": (ALL, None),
-    "lost_bytes": (ALL, 0.01),
-    "doubled_bytes": (ALL, 0.01),
-    "corrupted_bytes": (ALL, 0.01),
-    "wrong_baud": (SERIAL, None),
-    "bus_off": (("can",), None),
-    "lost_frames": (("can",), 0.1),
-    "bursts": (ALL, 0.3),
-    "stuck": (ALL, None),
-    "noise": (("can", "watson", "sick"), 0.05),
-    "pollution": (("sick",), None),
-    "occlusion": (("sick",), 0.5),
-    "glare": (("sick",), 0.3),
-    "rtk_float": (("gnss",), None),
-    "code_only": (("gnss",), None),
-    "no_fix": (("gnss",), None),
-    "multipath": (("gnss",), 2.0),
-    "clock_step": (("gnss",), 18.0),
+VALUES = {  # of random faults
+    **dict.fromkeys(("lost_bytes", "doubled_bytes", "corrupted_bytes"), 0.01),
+    "lost_frames": 0.1,
+    "bursts": 0.3,
+    "noise": 0.05,
+    "occlusion": 0.5,
+    "glare": 0.3,
+    "multipath": 2.0,
+    "clock_step": 18.0,
 }
 
 
@@ -155,17 +143,16 @@ def test_malformed_faults_are_refused_and_counted(programs, observer, can):
 
 @pytest.mark.soak
 @pytest.mark.timeout(1500)
-@pytest.mark.parametrize("failing", [ALL, ("gnss",)], ids=["of all sensors", "of the receiver"])
+@pytest.mark.parametrize("failing", [SENSORS, ("gnss",)], ids=["of all sensors", "of the receiver"])
 def test_a_hundred_faults_in_a_row(programs, observer, can, failing):
     """No node ends, leaks memory or stays below its nominal rate."""
     rig, choose = Rig(programs, observer, can, failing), random.Random(1)
-    kinds = {kind: sorted({*possible} & {*failing}) for kind, (possible, _) in RANDOM_FAULTS.items()}
+    kinds = {name: sorted({*kind.sensors} & {*failing}) for name, kind in KINDS.items()}
     before = None
     for n in range(100):
         kind = choose.choice(sorted(kind for kind, sensors in kinds.items() if sensors))
-        sensor, value = choose.choice(kinds[kind]), RANDOM_FAULTS[kind][1]
-        duration = choose.uniform(0.2, 3.0)
-        extra = "" if value is None else f", value: {value}"
+        sensor, duration = choose.choice(kinds[kind]), choose.uniform(0.2, 3.0)
+        extra = f", value: {VALUES[kind]}" if kind in VALUES else ""
         rig.fault(f"sensor: {sensor}, kind: {kind}, duration: {duration:.2f}{extra}")
         this = f"fault {n}: {sensor} {kind}"
         rig.wait(lambda n=n: rig.value("emulator", "faults accepted") == str(n + 1), this)

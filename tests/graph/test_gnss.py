@@ -9,6 +9,8 @@ import pytest
 from fixtures.observer import last_of, last_values
 from std_msgs.msg import String
 
+from trackslip_common.make import stamp_ns_of
+
 pytestmark = pytest.mark.xdist_group("graph")
 
 ORIGIN = {"latitude": -33.889, "longitude": 151.193, "altitude": 60.0}
@@ -16,7 +18,7 @@ ANTENNA = (0.8, -0.3)  # m in base_link
 
 
 def seconds(message):
-    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+    return stamp_ns_of(message) * 1e-9
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
+from trackslip_common.make import set_stamp
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
 
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -27,8 +28,7 @@ PARAMETERS = {
 def message_of(m):
     kind = {Sprockets: JointState, YawRate: Imu}.get(type(m), PoseWithCovarianceStamped)
     message = kind()
-    stamp_ns = EPOCH_NS + m.stamp_ns
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    set_stamp(message, EPOCH_NS + m.stamp_ns)
     if isinstance(m, Sprockets):
         message.name = ["left_sprocket", "right_sprocket"]
         message.velocity = [m.left_speed, m.right_speed]

@@ -4,6 +4,7 @@
 
 import http.client
 import re
+import signal
 import time
 from pathlib import Path
 
@@ -49,5 +50,4 @@ def test_page_answers_good_clients_among_2000_bad_ones(programs, duration_s):
         f"{answered_s[-1]:.2f} s (median {answered_s[len(answered_s) // 2]:.3f} s), {lines} lines of log"
     )
     assert lines <= 1 + lasted_s
-    strangers.asked = True
-    strangers.process.kill()
+    strangers.end(signal.SIGKILL)

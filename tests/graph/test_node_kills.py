@@ -19,8 +19,10 @@ from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
 from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import subscriber_qos
+from trackslip_estimation.slip.conversions import pose_fix
 from trackslip_tools.cli.replay_options import parameters_of
 from trackslip_tools.replay.run import replay
 
@@ -86,9 +88,7 @@ class Graph:
 
     def kill(self, name):
         """Kill the node and start it again."""
-        self._running[name].asked = True
-        self._running[name].process.kill()
-        self._running[name].process.wait()
+        self._running[name].end(signal.SIGKILL)
         self._running[name] = self._start(name)
 
     def end(self, name):
@@ -125,8 +125,8 @@ class Graph:
 
         Estimates after a delay of the emulator are excluded: killing and starting nodes can starve it.
         """
-        truth = np.array([(_stamp_ns(m), *_pose(m), at_ns - _stamp_ns(m)) for m, at_ns in self._truth])
-        rows = np.array([(_stamp_ns(m), *_pose(m), *_deviations(m)) for m in self.estimates])
+        truth = np.array([(*_estimate(m)[:4], at_ns - stamp_ns_of(m)) for m, at_ns in self._truth])
+        rows = np.array([_estimate(m) for m in self.estimates])
         valid = (rows[:, 0] >= truth[0, 0]) & (rows[:, 0] <= truth[-1, 0])
         for late_ns in truth[truth[:, 4] > LATE_S * 1e9, 0]:
             valid &= (rows[:, 0] < late_ns - LATE_S * 1e9) | (rows[:, 0] > late_ns + SETTLED_S * 1e9)
@@ -152,21 +152,13 @@ class Graph:
 
 
 def _is_later(messages, than_ns):
-    return bool(messages) and _stamp_ns(messages[-1]) > than_ns
+    return bool(messages) and stamp_ns_of(messages[-1]) > than_ns
 
 
-def _stamp_ns(message):
-    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-
-
-def _pose(message):
-    position, q = message.pose.pose.position, message.pose.pose.orientation
-    yaw = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return position.x, position.y, yaw
-
-
-def _deviations(message):
-    return np.sqrt(np.reshape(message.pose.covariance, (6, 6)).diagonal()[[0, 1, 5]])
+def _estimate(message):
+    """Stamp, ns, x, y, heading, and their standard deviations."""
+    fix = pose_fix(message, "odometry")
+    return fix.stamp_ns, *fix.pose, *np.sqrt(np.diagonal(fix.covariance))
 
 
 def _differing_from_live(paths):

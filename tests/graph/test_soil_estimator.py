@@ -10,6 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from trackslip_msgs.msg import MachineState, TrackHydraulics
 
+from trackslip_common.make import set_stamp, stamp_ns_of
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import records
@@ -38,10 +39,9 @@ def message_of(soil_input):
         message.left_slip, message.right_slip, message.slip_angle = map(float, soil_input.slips)
         message.attitude_covariance = np.full(9, -1.0)
         message.swing = soil_input.swing
-        message.swing_covariance = np.full(
-            4, soil_input.swing_variance if np.isfinite(soil_input.swing_variance) else -1.0
-        )
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(soil_input.stamp_ns, 1_000_000_000)
+        is_known = np.isfinite(soil_input.swing_variance)
+        message.swing_covariance = np.full(4, soil_input.swing_variance if is_known else -1.0)
+    set_stamp(message, soil_input.stamp_ns)
     return message
 
 
@@ -97,7 +97,7 @@ def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observ
     outputs = node.feed(inputs, SoilEstimator(load_soil_parameters()))
     assert len(node.forces) == len(outputs) > 90
     for message in node.forces:
-        expected = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        expected = outputs[stamp_ns_of(message)]
         assert (message.left_thrust, message.right_thrust) == expected.thrust
         assert (message.left_resistance, message.right_resistance) == expected.resistance
     assert node.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
@@ -116,7 +116,7 @@ def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, 
     outputs = node.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
     assert len(node.forces) == len(outputs) > 90
     for message in node.forces:
-        expected = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        expected = outputs[stamp_ns_of(message)]
         assert (message.left_resistance, message.right_resistance) == expected.resistance
     last = node.forces[-1]
     assert abs(last.left_resistance) > 1.3 * abs(last.right_resistance)
@@ -138,10 +138,8 @@ def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, obse
             *(np.zeros(3), Motion.UNKNOWN),
         ),
     ]
-    without, estimator = (
-        [i for i in inputs if not isinstance(i, Hydraulics)],
-        SoilEstimator(load_soil_parameters()),
-    )
+    without = [i for i in inputs if not isinstance(i, Hydraulics)]
+    estimator = SoilEstimator(load_soil_parameters())
     node.feed(without[:100], estimator)
     node.send(bad)
     node.feed(without[100:], estimator)

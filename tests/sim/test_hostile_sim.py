@@ -23,6 +23,9 @@ FAULTS = {  # defect → text, and what the refusal names
     "a_number_for_a_key": ("{sensor: sick, kind: unplug, duration: 3.1,5}", "unknown key '5'"),
     "escapes": ('{sensor: "\\e[2J", kind: unplug, duration: 1}', "has no unplug"),
     "nothing": ("", "accepted: a mapping"),
+    "a_list": ("[1]", "accepted: a mapping"),
+    "an_open_bracket": ("{", "not YAML"),
+    "no_kind": ("{sensor: can}", "kind = None is missing"),
 }
 
 

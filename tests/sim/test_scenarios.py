@@ -10,13 +10,7 @@ import pytest
 
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_sim.scenarios.scenario import (
-    Scenario,
-    Segment,
-    load_scenario,
-    parse_scenario,
-    scenario_names,
-)
+from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario, parse_scenario, scenario_names
 from trackslip_sim.truth.simulate import simulate
 
 NAMES = {

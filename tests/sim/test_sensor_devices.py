@@ -86,7 +86,7 @@ def test_binary_frames_after_the_two_spaces(parser):
     assert b"\rR " in device.step(17 * S)
 
 
-def test_commands_need_two_spaces_in_time(parser):
+def test_commands_need_two_spaces_in_time():
     for data, at_ns in ((BINARY, 1 * S), (b" x ^", 2 * S), (COMMAND_MODE + BINARY, 6 * S)):
         device = unit(reference=False)
         device.receive(data, at_ns)

@@ -20,9 +20,9 @@ from trackslip_sim.study.soil.trial import (
     Setting,
     Trial,
     draw_readings,
+    estimator_outputs,
     load_setting,
     simulate_trial,
-    soil_states,
 )
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import Truth
@@ -113,7 +113,8 @@ def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
     assert 0.0 < result.moment_error < 0.1
     assert 0.0 < result.offset_residue < 5e3
     assert (result.into, math.isnan(result.recognised_after)) == ("", True)
-    last = list(soil_states(TRIAL, simulate_trial(TRIAL)))[-1]
+    outputs = estimator_outputs(draw_readings(TRIAL, simulate_trial(TRIAL), setting), setting)
+    last = [output for output in outputs if isinstance(output, SoilState)][-1]
     assert last.classes["sand"] == result.probability
 
 

@@ -16,7 +16,7 @@ from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import TABLE_HEADER
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.soil import study as soil_study
-from trackslip_sim.study.soil.parameters import load_soil_study_parameters
+from trackslip_sim.study.soil.parameters import SoilStudyParameters, load_soil_study_parameters
 from trackslip_sim.study.soil.results import ChangeRow, SoilRow
 from trackslip_sim.study.soil.score import Result
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
@@ -101,7 +101,7 @@ def trials_of(
 
 
 def test_interrupted_study_resumes_run_by_run(
-    command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first = trials_of(command, monkeypatch, code=130, stop_at=3)
     second, third = trials_of(command, monkeypatch), trials_of(command, monkeypatch)
@@ -142,24 +142,14 @@ def test_both_studies_may_share_a_file(tmp_path: Path) -> None:
 def test_several_processes_give_the_rows_of_one(
     command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(
-        soil_study,
-        "load_soil_study_parameters",
-        lambda values: load_soil_study_parameters(values | {"standstill": 1.0}),
-    )
+    def load(values: dict[str, object]) -> SoilStudyParameters:
+        return load_soil_study_parameters(values | {"standstill": 1.0})
+
+    monkeypatch.setattr(soil_study, "load_soil_study_parameters", load)
     rows = []
     for count in ("1", "2"):
-        options = [
-            "--scenario",
-            "straight",
-            "--duration",
-            "2",
-            "--soil",
-            "sand",
-            "--workers",
-            count,
-            "--fresh",
-        ]
+        drive = ["--scenario", "straight", "--duration", "2", "--soil", "sand"]
+        options = [*drive, "--workers", count, "--fresh"]
         rows.append(json_of(tmp_path, *command, *options))
     assert rows[0] == rows[1]
     assert rows[0][0]["M_r_error"] is None  # no turn

@@ -22,9 +22,8 @@ from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.study.cache import source_files
 from trackslip_sim.study.engine import TABLE_HEADER, Study
 from trackslip_sim.study.slip import study as slip_study
-from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.figures import run_figures, terrain_figure
-from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
+from trackslip_sim.study.slip.parameters import cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
@@ -43,20 +42,6 @@ SHORT = ["--scenario", "slalom", "--duration", "9", "--settling", "6", "--seeds"
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
     return ["study", *SHORT, "--workers", "1", "--cache", str(tmp_path / "cells.jsonl")]
-
-
-class Counted:
-    """``evaluate``, which raises KeyboardInterrupt at the chosen call."""
-
-    def __init__(self, stop_at: int | None = None) -> None:
-        self.cells: list[Cell] = []
-        self._stop_at = stop_at
-
-    def __call__(self, cell: Cell, *arguments: Any) -> Row:
-        if len(self.cells) == self._stop_at:
-            raise KeyboardInterrupt
-        self.cells.append(cell)
-        return evaluate(cell, *arguments)
 
 
 @pytest.mark.slow
@@ -128,16 +113,6 @@ def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path)
     np.testing.assert_equal(drawn, [[1.0, 6.0]] * 2 + [[1.0, 2.0], [math.nan] * 2] + [[1.0 / 3.0, 10.0]] * 2)
 
 
-def test_interrupted_study_resumes(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each cell is computed once."""
-    first, second, third = Counted(stop_at=2), Counted(), Counted()
-    for counted, code in ((first, 130), (second, 0), (third, 0)):
-        monkeypatch.setattr(slip_study, "evaluate", counted)
-        assert main([*command, "--sigma-xy", "0.01", "0.05", "--filter", "ekf"]) == code
-    assert (len(first.cells), len(second.cells), len(third.cells)) == (2, 2, 0)
-    assert len({*first.cells, *second.cells}) == 4
-
-
 def test_cached_rows_equal_computed_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "deep" / "cells.jsonl"
     parameters = {"scenario": ["slalom"], "duration": 9.0, "settling": 6.0, "seeds": 2}
@@ -146,8 +121,11 @@ def test_cached_rows_equal_computed_ones(tmp_path: Path, monkeypatch: pytest.Mon
     def study(*settings: str, fresh: bool = False, **changed: object) -> list[Row]:
         return list(SlipStudy({**parameters, **changed}, settings).run(file, fresh=fresh))
 
+    def interrupt(*_: Any) -> Row:
+        raise KeyboardInterrupt
+
     computed = study()
-    monkeypatch.setattr(slip_study, "evaluate", Counted(stop_at=0))
+    monkeypatch.setattr(slip_study, "evaluate", interrupt)
     assert study() == computed
     for changed in ({"seeds": 3}, {"settling": 5.0}, {"fresh": True}):
         with pytest.raises(KeyboardInterrupt):

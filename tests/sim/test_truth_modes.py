@@ -8,7 +8,7 @@ import pytest
 from trackslip_common.errors import InputError
 from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.truth.record import COLUMNS, join_pieces
@@ -34,10 +34,9 @@ def test_thesis_manoeuvre_ends_as_far_apart_as_in_figures_6_1_and_6_2() -> None:
 @pytest.mark.parametrize("name", SOILS)
 def test_thesis_mode_balances_the_free_body(name: str) -> None:
     scenario = Scenario(name="turn", soil=name, segments=(Segment(20.0, 2.4, 2.0),))
-    end = simulate(scenario, mode="thesis").sample_at(20.0)
+    end = simulate(scenario, mode="thesis").interpolate(20.0)
     ground = soil(name)
-    area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
-    limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
+    limit = soil_thrust_limit(ground, VEHICLE)
     for slip, force in ((end.left_slip, end.left_thrust), (end.right_slip, end.right_thrust)):
         expected = thrust(slip, limit, ground.value("shear_modulus"), VEHICLE.contact_length)
         assert force == pytest.approx(expected, rel=1e-6)

@@ -87,13 +87,7 @@ def test_machine_is_symmetric_front_to_back(segments: list[Segment], name: str) 
     edge=st.floats(-0.5, 0.5),
 )
 def test_energy_is_only_lost_and_all_stays_finite(
-    segments: list[Segment],
-    name: str,
-    other: str,
-    relief: float,
-    load_x: float,
-    load_y: float,
-    edge: float,
+    segments: list[Segment], name: str, other: str, relief: float, load_x: float, load_y: float, edge: float
 ) -> None:
     loaded = dataclasses.replace(SETTINGS, load_x=load_x, load_y=load_y, sample_period=SETTINGS.step)
     patch = Patch(soil=other, from_x=edge, to_x=edge + 0.3, from_y=-0.2, to_y=3.0)

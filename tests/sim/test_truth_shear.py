@@ -10,7 +10,7 @@ import pytest
 from trackslip_common.errors import InputError
 from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.truth.ground import Patch
@@ -45,12 +45,11 @@ def random_drive(seed: int, soil: str) -> Scenario:
 
 @pytest.mark.parametrize("name", SOILS)
 def test_straight_motion_is_equation_3_3(name: str) -> None:
-    end = simulate(drive((30.0, FAST, FAST), soil=name)).sample_at(
+    end = simulate(drive((30.0, FAST, FAST), soil=name)).interpolate(
         30.0
-    )  # the transient of the start has decayed
+    )  # the start's transient has decayed
     ground = soil(name)
-    area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
-    limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
+    limit = soil_thrust_limit(ground, VEHICLE)
     expected = thrust(end.left_slip, limit, ground.value("shear_modulus"), VEHICLE.contact_length)
     assert end.left_thrust == pytest.approx(expected, rel=0.01)
     assert end.left_thrust[0] == pytest.approx(0.5 * ground.value("mu_r") * VEHICLE.weight, rel=1e-3)
@@ -59,7 +58,7 @@ def test_straight_motion_is_equation_3_3(name: str) -> None:
 
 @pytest.mark.parametrize("name", SOILS)
 def test_turn_with_inner_track_at_60_percent(name: str) -> None:
-    end = simulate(drive((30.0, FAST, SLOW), soil=name)).sample_at(30.0)
+    end = simulate(drive((30.0, FAST, SLOW), soil=name)).interpolate(30.0)
     measured = (end.left_slip, end.right_slip, end.left_thrust, end.right_thrust, end.yaw_rate)
     assert np.concatenate(measured) == pytest.approx(INNER_60[name], rel=0.05)
 
@@ -95,7 +94,7 @@ def test_spot_turn_with_low_relief_pressure_stalls(name: str) -> None:
     assert np.abs(stalled.right_speed).max() < 1e-2
     assert stalled.right_pressure == pytest.approx(scenario.relief_pressure, rel=1e-3)
     assert truth.v_x[-1] > 0.3  # drives straight afterwards
-    free = simulate(dataclasses.replace(scenario, relief_pressure=None), soil=name).sample_at(19.0)
+    free = simulate(dataclasses.replace(scenario, relief_pressure=None), soil=name).interpolate(19.0)
     assert free.yaw_rate[0] > 0.1  # without the relief valve it does not stall
 
 
@@ -108,7 +107,7 @@ def test_relief_bounds_every_pressure() -> None:
 
 
 def test_pump_flow_bounds_the_speed() -> None:
-    end = simulate(drive((3.0, 100.0, 100.0))).sample_at(3.0)
+    end = simulate(drive((3.0, 100.0, 100.0))).interpolate(3.0)
     top = 2.0 * np.pi * VEHICLE.pump_flow * VEHICLE.volumetric_efficiency
     top /= VEHICLE.motor_displacement * VEHICLE.gear_ratio
     assert end.left_speed[0] == pytest.approx(top, rel=1e-3)
@@ -130,7 +129,7 @@ def test_machine_comes_to_rest_without_chatter() -> None:
 
 
 def test_braking_thrust_is_divided_by_the_efficiency() -> None:
-    end = simulate(drive((20.0, FAST, SLOW), soil="sand")).sample_at(20.0)
+    end = simulate(drive((20.0, FAST, SLOW), soil="sand")).interpolate(20.0)
     swept = VEHICLE.motor_displacement * VEHICLE.gear_ratio / (2.0 * np.pi * VEHICLE.rolling_radius)
     assert end.left_thrust == pytest.approx(VEHICLE.motor_efficiency * swept * end.left_pressure)
     assert end.right_thrust == pytest.approx(swept * end.right_pressure / VEHICLE.motor_efficiency)
@@ -148,12 +147,12 @@ def test_patches_change_the_soil_during_a_drive() -> None:
 
 def test_load_shifts_between_the_tracks_and_along_them() -> None:
     left = dataclasses.replace(SETTINGS, load_y=0.25 * VEHICLE.tread)  # 3/4 of the weight on the left
-    end = simulate(drive((5.0, FAST, FAST)), settings=left).sample_at(5.0)
+    end = simulate(drive((5.0, FAST, FAST)), settings=left).interpolate(5.0)
     assert end.left_resistance == pytest.approx(3.0 * end.right_resistance, rel=1e-6)
     assert end.yaw_rate[0] > 0.0  # the loaded track has more resistance
     turn = drive((20.0, FAST, SLOW))
-    even = simulate(turn).sample_at(20.0)
-    ahead = simulate(turn, settings=dataclasses.replace(SETTINGS, load_x=0.15)).sample_at(20.0)
+    even = simulate(turn).interpolate(20.0)
+    ahead = simulate(turn, settings=dataclasses.replace(SETTINGS, load_x=0.15)).interpolate(20.0)
     assert even.v_y[0] < ahead.v_y[0] - 1e-3  # turns about a point further ahead
 
 
@@ -168,10 +167,10 @@ def test_interpolation_is_linear_and_keeps_the_soil_before() -> None:
     truth = simulate(drive((4.0, 2.0, 2.1), patches=(patch,)))
     assert len(truth) == 801
     assert truth.duration == pytest.approx(4.0)
-    between = truth.sample_at(2.0025)
+    between = truth.interpolate(2.0025)
     assert between.x[0] == pytest.approx(0.5 * (truth.x[400] + truth.x[401]))
     assert between.soil_name() == truth.soil_name(400)
-    assert truth.sample_at(99.0).x[0] == truth.x[-1]
+    assert truth.interpolate(99.0).x[0] == truth.x[-1]
 
 
 def test_speeds_are_the_derivatives_of_the_pose() -> None:

@@ -119,7 +119,7 @@ def test_a_weak_soil_stalls_uphill_and_lets_a_machine_slide_across() -> None:
 
 @pytest.mark.parametrize("slope", [-0.25, 0.1, 0.2])
 def test_weight_along_the_slope_is_thrust_and_no_resistance(slope: float) -> None:
-    end = simulate(drive(plane(slope), (20.0, FAST, FAST))).sample_at(20.0)
+    end = simulate(drive(plane(slope), (20.0, FAST, FAST))).interpolate(20.0)
     normal = VEHICLE.weight * math.cos(slope)
     resistance = SOILS["sand"].value("mu_r") * normal
     assert end.left_resistance + end.right_resistance == pytest.approx(resistance, rel=1e-3)
@@ -132,7 +132,7 @@ def test_weight_along_the_slope_is_thrust_and_no_resistance(slope: float) -> Non
 
 def test_lower_track_carries_more_load() -> None:
     slope = math.radians(10.0)
-    end = simulate(drive(plane(slope, 0.5 * math.pi), (3.0, 0.0, 0.0))).sample_at(3.0)
+    end = simulate(drive(plane(slope, 0.5 * math.pi), (3.0, 0.0, 0.0))).interpolate(3.0)
     assert VEHICLE.centre_of_gravity is not None
     shift = VEHICLE.weight * VEHICLE.centre_of_gravity.z * math.sin(slope) / VEHICLE.tread
     assert end.roll == pytest.approx(slope)
@@ -296,11 +296,11 @@ def test_bucket_load_shifts_the_weight_forward() -> None:
     )
     scenario = Scenario(name="test", soil="sand", segments=segments)
     truth = simulate(scenario)
-    empty, loaded, emptied = (truth.sample_at(t) for t in (1.0, 11.0, 15.0))
+    empty, loaded, emptied = (truth.interpolate(t) for t in (1.0, 11.0, 15.0))
     assert empty.left_load == emptied.left_load == pytest.approx(0.5 * VEHICLE.weight)
     assert loaded.left_load == pytest.approx(0.5 * VEHICLE.weight * (1.0 + 100.0 / VEHICLE.mass))
     assert loaded.left_resistance == pytest.approx(0.2 * loaded.left_load, rel=1e-3)
-    unloaded = simulate(drive(FLAT, (2.0, 0.0, 0.0), (10.0, FAST, FAST))).sample_at(11.0)
+    unloaded = simulate(drive(FLAT, (2.0, 0.0, 0.0), (10.0, FAST, FAST))).interpolate(11.0)
     share = loaded.left_thrust / unloaded.left_thrust * unloaded.left_slip / loaded.left_slip
     assert share < 1.0  # less sheared soil is stiffer, so slip grows faster than thrust
 

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The graph of ``make demo`` under ``ros2 launch``: emulated excavator, drivers, estimators, recorder."""
 
-from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from trackslip_common.nodes.launching import (
     number_argument,
 )
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
-from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, NodeSpec, demo_nodes
+from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, demo_nodes
 
 _ARGUMENTS = {
     "duration": ("40.0", "seconds of driving"),
@@ -52,15 +51,13 @@ def _nodes(context: LaunchContext) -> list[Node]:
         laser=is_switched_on(context, "laser"),
         gnss=is_switched_on(context, "gnss"),
     )
-    chosen = enabled_nodes(context, _launched([*demo_nodes(options), LIVE_NODE]))
+    specs = [*demo_nodes(options), LIVE_NODE]
+    nodes = [LaunchedNode(spec.package, spec.executable, spec.parameters) for spec in specs]
+    chosen = enabled_nodes(context, nodes)
     estimators = [one.executable for one in chosen if one.package == "trackslip_estimation"]
     emulator, *others = chosen
     emulator = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
     return make_nodes(context, [emulator, *others])
-
-
-def _launched(specs: Iterable[NodeSpec]) -> list[LaunchedNode]:
-    return [LaunchedNode(node.package, node.executable, node.parameters) for node in specs]
 
 
 def _executables() -> list[str]:

@@ -50,11 +50,7 @@ def load_at(
 
 
 def load_swung(
-    swing: float,
-    stddev: float,
-    centre: Any = None,
-    p: Any = NUMBERS,
-    tilt: Any = ((0.0, 0.0), (0.0, 0.0)),
+    swing: float, stddev: float, centre: Any = None, p: Any = NUMBERS, tilt: Any = ((0.0, 0.0), (0.0, 0.0))
 ) -> Any:
     """Load of a PC05 with a cab, unless ``centre`` is given."""
     sample, load = np.zeros(1, SAMPLE)[0], np.zeros(1, GROUND_LOAD)[0]
@@ -178,12 +174,9 @@ def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
     j[:, :, 0] = -slip * (0.5 * length - contact.x_e)
     pulls = []
     for load_lean in (0.0, lean):
-        rolling, q = (
-            Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), load_lean),
-            np.zeros((2, 1)),
-        )
-        fill_mobilised_shares(
-            j, rolling, RollingError(np.zeros(2), np.zeros(2), 0.0), contact, np.array((0.01,)), q
-        )
+        rolling = Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), load_lean)
+        q = np.zeros((2, 1))
+        no_error = RollingError(np.zeros(2), np.zeros(2), 0.0)
+        fill_mobilised_shares(j, rolling, no_error, contact, np.array((0.01,)), q)
         pulls.append(float(q[0, 0]))
     assert pulls[1] / pulls[0] == pytest.approx(1.0 - 2.0 * centre / length, rel=5e-3)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.soil_samples import Sample
+from numpy.typing import ArrayLike
 
 from trackslip_bags.messages import make
 from trackslip_common.record_types import dtype_of
@@ -20,7 +21,7 @@ from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
 from trackslip_estimation.soil.slip_seed import (
     Seeder,
-    Thrust,
+    SeedStrength,
     is_seed_due,
     make_seed,
     set_strength,
@@ -29,6 +30,7 @@ from trackslip_estimation.soil.slip_seed import (
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_estimation.soil.strength_summary import StrengthSummary
+from trackslip_estimation.soil.thrust import THRUST
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.machine.hydraulics import InputErrors, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
@@ -40,40 +42,52 @@ SOIL = StrengthSummary(0.02, (0.015, 0.0267), 3500.0, (3400.0, 3603.0), 30.0, Tr
 TRACKS = np.full(2, 0.3)
 
 
-def thrust_at(slips: tuple[float, float]) -> Thrust:
-    return Thrust(np.asarray(thrust(slips, SOIL.thrust_limit, SOIL.shear_modulus, LENGTH)), np.full(2, 100.0))
+def thrust_of(force: ArrayLike) -> Any:
+    measured = np.zeros(1, THRUST)[0]
+    measured["is_known"], measured["force"], measured["variance"] = True, force, 100.0
+    return measured
+
+
+def thrust_at(slips: tuple[float, float]) -> Any:
+    return thrust_of(thrust(slips, SOIL.thrust_limit, SOIL.shear_modulus, LENGTH))
+
+
+def strength_of(soil: StrengthSummary) -> SeedStrength:
+    seeder: Seeder = np.zeros(1, dtype_of(Seeder))[0]
+    set_strength(seeder, soil)
+    return seeder["newest"]
 
 
 @pytest.mark.slow
 def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
     measured = thrust_at((0.02, 0.03))
-    estimate = straight_slips(measured, np.ones(2), SOIL, P.seed, LENGTH)
+    estimate = straight_slips(measured, np.ones(2), strength_of(SOIL), P.seed, LENGTH)
     np.testing.assert_allclose(estimate[0], (0.02, 0.03), rtol=1e-9)
     samples = []
-    stddev = np.sqrt(measured.variance + P.seed.thrust_stddev**2)
+    stddev = np.sqrt(measured["variance"] + P.seed.thrust_stddev**2)
     for z in rng.standard_normal((count, 5)):
         modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
         limit = SOIL.thrust_limit * (3603.0 / 3400.0) ** (z[1] / 3.29)
-        soil = replace(SOIL, shear_modulus=modulus, thrust_limit=limit)
-        one = straight_slips(
-            Thrust(measured.force + stddev * z[2:4], measured.variance), np.ones(2), soil, P.seed, LENGTH
-        )
+        soil = strength_of(replace(SOIL, shear_modulus=modulus, thrust_limit=limit))
+        noisy = thrust_of(measured["force"] + stddev * z[2:4])
+        one = straight_slips(noisy, np.ones(2), soil, P.seed, LENGTH)
         samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
     np.testing.assert_allclose(estimate[1], np.cov(np.array(samples).T), rtol=0.2)
 
 
 def test_seed_has_the_sign_of_slip_in_reverse_and_when_braking() -> None:
     measured = thrust_at((0.02, -0.01))
-    forward = straight_slips(measured, np.ones(2), SOIL, P.seed, LENGTH)
-    reverse = straight_slips(Thrust(-measured.force, measured.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    forward = straight_slips(measured, np.ones(2), strength_of(SOIL), P.seed, LENGTH)
+    backward = thrust_of(-measured["force"])
+    reverse = straight_slips(backward, -np.ones(2), strength_of(SOIL), P.seed, LENGTH)
     np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
 def test_thrust_beyond_the_soil_limit_gives_no_seed() -> None:
     ride = Ride()
-    ride.thrust = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    ride.thrust = thrust_of((3450.0, 1000.0))
     ride.seeds(Motion.TURNING, 1.0)
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
 
@@ -83,7 +97,7 @@ class Ride:
 
     def __init__(self) -> None:
         self._seeder, self._numbers, self._now_ns = np.zeros(1, dtype_of(Seeder))[0], make_config(P)[0], 0
-        self.thrust: Thrust | None = thrust_at((0.02, 0.02))
+        self.thrust = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 
     def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
@@ -91,14 +105,12 @@ class Ride:
         seeds = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
-            thrusts = (None, np.ones(2)) if self.thrust is None else self.thrust
-            moment = Sample(0.1, TRACKS, thrusts=thrusts[0], thrust_variances=thrusts[1], motion=motion)
-            sample, thrust = moment.records()
+            sample, _ = Sample(0.1, TRACKS, motion=motion).records()
             sample["stamp_ns"] = self._now_ns
             if self.soil is not None:
                 set_strength(self._seeder, self.soil)
-            if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
-                seeds.append(make_seed(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
+            if is_seed_due(self._seeder, sample[0], self.thrust, self._numbers):
+                seeds.append(make_seed(self._seeder, sample[0], self.thrust, P.seed, LENGTH))
         return seeds
 
 
@@ -117,9 +129,9 @@ def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
 def test_unknown_thrust_gives_no_seed() -> None:
     ride = Ride()
     ride.seeds(Motion.TURNING, 1.0)
-    measured, ride.thrust = ride.thrust, None
+    ride.thrust["is_known"] = False
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
-    ride.thrust = measured
+    ride.thrust["is_known"] = True
     assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
 
 
@@ -136,12 +148,8 @@ def test_seed_uses_the_soil_at_the_end_of_the_turn(soil: StrengthSummary | None)
 
 
 LEGS = (
-    (3.0, 0.0, 0.0),
-    (15.0, 2.0, 2.0),
-    (6.0, 1.2, 2.2),
-    (17.0, 2.0, 2.0),
-    (6.0, 2.2, 1.2),
-    (17.0, 2.0, 2.0),
+    *((3.0, 0.0, 0.0), (15.0, 2.0, 2.0), (6.0, 1.2, 2.2)),
+    *((17.0, 2.0, 2.0), (6.0, 2.2, 1.2), (17.0, 2.0, 2.0)),
 )
 
 

@@ -68,26 +68,20 @@ def test_soils_of_equal_strength_line_have_the_same_limit() -> None:
     limit = soil_thrust_limit(soil("sand"), VEHICLE)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     cohesion, angle = 2.0 * limit / area, math.atan(2.0 * limit / VEHICLE.weight)
-    assert soil_thrust_limit(Soil(name="a", cohesion=cohesion, friction_angle=0.0), VEHICLE) == pytest.approx(
-        limit
-    )
-    assert soil_thrust_limit(Soil(name="b", cohesion=0.0, friction_angle=angle), VEHICLE) == pytest.approx(
-        limit
-    )
     half = math.atan(0.5 * math.tan(angle))
-    between = Soil(name="c", cohesion=0.5 * cohesion, friction_angle=half)
-    assert soil_thrust_limit(between, VEHICLE) == pytest.approx(limit)
+    for c, phi in ((cohesion, 0.0), (0.0, angle), (0.5 * cohesion, half)):
+        other = Soil(name="other", cohesion=c, friction_angle=phi)
+        assert soil_thrust_limit(other, VEHICLE) == pytest.approx(limit)
 
 
 def test_constant_errors_equal_a_spread_of_the_cells() -> None:
     grid = StrengthGrid(P.strength, VEHICLE)
     certain = posterior_about(0.01, 3600.0)
     spread = SoilClasses(P.classes, SOILS.values(), VEHICLE, grid).probabilities(certain)
-    assert spread == pytest.approx(CLASSES.probabilities(grid.add_errors(certain)), rel=1e-9)
-    assert grid.moduli_probabilities(certain) == pytest.approx(
-        grid.add_errors(certain).sum(axis=1), abs=1e-12
-    )
-    assert grid.limit_probabilities(certain) == pytest.approx(grid.add_errors(certain).sum(axis=0), abs=1e-12)
+    cells = grid.add_errors(certain)
+    assert spread == pytest.approx(CLASSES.probabilities(cells), rel=1e-9)
+    assert grid.moduli_probabilities(certain) == pytest.approx(cells.sum(axis=1), abs=1e-12)
+    assert grid.limit_probabilities(certain) == pytest.approx(cells.sum(axis=0), abs=1e-12)
 
 
 def test_the_reserve_falls_to_nothing_at_the_limit() -> None:

@@ -59,7 +59,7 @@ def test_longitudinal_resistance_is_found_within_five_percent(name: str) -> None
 def test_mobilised_lateral_resistance_is_the_moment_within_ten_percent(name: str) -> None:
     truth, states = driven(name)
     for state in within(states, *TURNS):
-        moment = float(truth.sample_at((state.stamp_ns - START_NS) * 1e-9).turning_moment[0])
+        moment = float(truth.interpolate((state.stamp_ns - START_NS) * 1e-9).turning_moment[0])
         true = 3.0 * moment / (VEHICLE.weight * VEHICLE.contact_length)  # (3.8)
         assert state.mu_l == pytest.approx(true, rel=0.10)
         assert abs(state.mu_l - true) < 3.0 * np.sqrt(state.mu_l_variance)

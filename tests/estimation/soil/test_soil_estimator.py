@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -35,7 +36,8 @@ SEGMENTS = ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (5.0, 1.0, 2.2), (5.0, 2.0, 2.0))
 SPINNING = ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.2, 2.2))  # the right track, on clayey soil
 BEFORE, FAULT_ENDS = 10.0, 16.0  # s: turning, straight
 Corrupt = Callable[[Hydraulics], Hydraulics | None]
-
+Output = TypeVar("Output", SoilState, TrackForces)
+Segments = tuple[tuple[float, float, float], ...]
 
 # A PC05 with a cab: to and fro with turns to both sides, at a constant swing angle
 TO_AND_FRO = (
@@ -54,12 +56,15 @@ def swung(angle: float, stddev: float | None) -> tuple[SoilInput, ...]:
     return tuple(soil_inputs(truth, whole, load_slip_parameters().motion, sensing))
 
 
+def sensed(soil: str, segments: Segments, errors: InputErrors, **fields: Any) -> list[SoilInput]:
+    rows = tuple(Segment(*row) for row in segments)
+    truth = simulate(Scenario(name="test", soil=soil, segments=rows, **fields))
+    return list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, errors))
+
+
 @cache
-def inputs_of(
-    soil: str = "sand", segments: tuple[tuple[float, float, float], ...] = SEGMENTS
-) -> list[SoilInput]:
-    truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*row) for row in segments)))
-    return list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
+def inputs_of(soil: str = "sand", segments: Segments = SEGMENTS) -> list[SoilInput]:
+    return sensed(soil, segments, InputErrors())
 
 
 def run(inputs: Iterable[SoilInput], estimator: SoilEstimator | None = None) -> list[SoilOutput]:
@@ -67,7 +72,7 @@ def run(inputs: Iterable[SoilInput], estimator: SoilEstimator | None = None) -> 
     return [output for one in inputs for output in estimator.advance(one)]
 
 
-def at(outputs: list[SoilOutput], kind: type, t: float) -> SoilOutput:
+def at(outputs: list[SoilOutput], kind: type[Output], t: float) -> Output:
     """The last output of a kind up to a time, s."""
     return [o for o in outputs if isinstance(o, kind) and o.stamp_ns <= START_NS + t * 1e9][-1]
 
@@ -126,25 +131,21 @@ def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance(fault
     assert estimator.faults == (fault,)
     assert estimator.tally.total["hydraulics", fault.value] > 400
     before, after = (at(outputs, SoilState, t) for t in (BEFORE, FAULT_ENDS))
-    assert isinstance(before, SoilState)
-    assert isinstance(after, SoilState)
     assert after.mu_r == pytest.approx(before.mu_r, rel=0.03)
     assert after.mu_l == pytest.approx(before.mu_l, rel=0.10)
     assert after.strength.thrust_limit == pytest.approx(before.strength.thrust_limit, rel=0.10)
     assert after.mu_r_variance > 4.0 * before.mu_r_variance
     assert after.mu_l_variance > before.mu_l_variance
     assert after.strength.effective_samples < before.strength.effective_samples
-    held = [at(outputs, TrackForces, t) for t in (BEFORE + 1.0, FAULT_ENDS - 1.0)]
-    assert all(isinstance(forces, TrackForces) for forces in held)
-    assert held[0].thrust == held[1].thrust
-    assert all(b > 2.0 * a for a, b in zip(held[0].thrust_variance, held[1].thrust_variance, strict=True))
+    begin, end = (at(outputs, TrackForces, t) for t in (BEFORE + 1.0, FAULT_ENDS - 1.0))
+    assert begin.thrust == end.thrust
+    assert all(b > 2.0 * a for a, b in zip(begin.thrust_variance, end.thrust_variance, strict=True))
 
 
 def test_estimates_recover_after_a_fault() -> None:
     estimator = SoilEstimator(P)
     last = at(run(corrupted(FAULTS[PressureFault.IN_BAR]), estimator), SoilState, 18.0)
     assert estimator.faults == ()
-    assert isinstance(last, SoilState)
     assert last.mu_r == pytest.approx(0.2, rel=0.05)
 
 
@@ -176,17 +177,13 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
 
 
 @pytest.mark.parametrize(
-    "angle",
-    [0.5 * math.pi, pytest.param(math.pi, marks=pytest.mark.slow)],
-    ids=["across", "back"],
+    "angle", [0.5 * math.pi, pytest.param(math.pi, marks=pytest.mark.slow)], ids=["across", "back"]
 )
 def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
     """Without the swing F_max is 20 % too small across and 4 % too large backward."""
     true = soil_thrust_limit(soil("sand"), CAB.vehicle.whole())
     known, unknown = (run(swung(angle, stddev), SoilEstimator(CAB)) for stddev in (0.01, None))
     precise, wide = (at(outputs, SoilState, 99.0) for outputs in (known, unknown))
-    assert isinstance(precise, SoilState)
-    assert isinstance(wide, SoilState)
     assert precise.strength.thrust_limit == pytest.approx(true, rel=0.02)
     for state in (precise, wide):
         low, high = state.strength.thrust_limit_interval
@@ -222,7 +219,6 @@ def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None
     outputs = run(inputs_of("clayey_soil", SPINNING), spinning)
     assert spinning.stuck == (False, True)
     last = at(outputs, TrackForces, 16.0)
-    assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1 < last.reserve[0]
     patient = spinning.parameters.changed({"stuck_time": 1e6})
     spinning.set_parameters(patient)
@@ -236,7 +232,6 @@ def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:
     estimator = SoilEstimator(P)
     outputs = run(inputs_of("clayey_soil", ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.9, 2.28))), estimator)
     last = at(outputs, TrackForces, 16.0)
-    assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
     assert estimator.stuck == (False, False)
 
@@ -252,31 +247,17 @@ def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
     estimator = SoilEstimator(P)
     outputs = run(map(drag, inputs_of("clayey_soil", SPINNING)), estimator)
     last = at(outputs, TrackForces, 16.0)
-    assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
     assert estimator.stuck == (False, False)
 
 
 def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None:
     """The relief pressure is too low for a turn on the spot; straights, a turn and stops are no stall."""
-    segments = (
-        (1.0, 0, 0),
-        (4.0, 2, 2),
-        (2.0, 0, 0),
-        (4.0, -2, 2),
-        (2.0, 0, 0),
-        (3.0, 1.5, 2),
-        (2.0, 0.0, 0.0),
-    )
+    on_the_spot = (4.0, -2, 2)
+    segments = ((1.0, 0, 0), (4.0, 2, 2), (2.0, 0, 0), on_the_spot, (2.0, 0, 0), (3.0, 1.5, 2), (2.0, 0, 0))
     begins, ends = 7.0, 11.0  # s
-    truth = simulate(
-        Scenario(
-            name="stall", soil="sand", relief_pressure=8e6, segments=tuple(Segment(*row) for row in segments)
-        )
-    )
-    inputs = list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
     estimator, stalled = SoilEstimator(P), {}
-    for one in inputs:
+    for one in sensed("sand", segments, InputErrors(), relief_pressure=8e6):
         estimator.advance(one)
         stalled[(one.stamp_ns - START_NS) * 1e-9] = estimator.stalled
     by_time = [(t, both) for t, both in stalled.items() if any(both)]
@@ -311,7 +292,6 @@ def test_a_clock_set_back_restarts_the_estimate() -> None:
     assert estimator.restarts == 1
     fresh = [o for o in outputs if o.stamp_ns < START_NS]
     last = at(fresh, SoilState, 0.0)
-    assert isinstance(last, SoilState)
     assert last.mu_r == pytest.approx(0.2, rel=0.05)
 
 
@@ -322,9 +302,6 @@ def test_volumetric_efficiency_is_estimated_from_spools_and_speeds() -> None:
 
 
 def test_transducer_offsets_do_not_change_the_resistance() -> None:
-    truth = simulate(Scenario(name="test", soil="sand", segments=tuple(Segment(*row) for row in SEGMENTS)))
-    off = InputErrors(offsets=(2e5, 2e5))
-    outputs = run(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, off))
+    outputs = run(sensed("sand", SEGMENTS, InputErrors(offsets=(2e5, 2e5))))
     last = at(outputs, SoilState, 18.0)
-    assert isinstance(last, SoilState)
     assert last.mu_r == pytest.approx(0.2, rel=0.05)

@@ -146,10 +146,7 @@ def new_strength(**changes: float) -> Strength:
 
 
 def go_straight(
-    strength: Strength,
-    errors: tuple[float, float] = (0.0, 0.0),
-    stddev: float = 0.002,
-    sign: float = 1.0,
+    strength: Strength, errors: tuple[float, float] = (0.0, 0.0), stddev: float = 0.002, sign: float = 1.0
 ) -> None:
     """Drive on soil of MODULUS and LIMIT until the tracks stand on sheared soil, then 3.5 m, and stop.
 

@@ -105,9 +105,8 @@ def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
     squares = []
     for stddev in (0.0, lean):
         turn = Turn(j, rolling, 1e-6 * np.eye(3), LIMIT * q[:, 0], np.ones(2), 0.0, stddev)
-        squares.append(
-            float(squared_distances(thrust_curves(turn, contact, moduli), turn, np.array((LIMIT,)))[0, 0])
-        )
+        curves = thrust_curves(turn, contact, moduli)
+        squares.append(float(squared_distances(curves, turn, np.array((LIMIT,)))[0, 0]))
     assert squares[0] > 25.0
     assert squares[1] == pytest.approx(1.0, rel=0.15)
 
@@ -170,15 +169,9 @@ def test_intervals_have_their_stated_coverage() -> None:
     random = np.random.default_rng(5)
     runs, stddev, scatter, covered = 80, 0.003, 0.01, np.zeros(2)
     correlated = dict.fromkeys(("slip_bias_stddev", "thrust_scale_stddev", "thrust_share_stddev"), 0.0)
-    small = {
-        "lowest_limit": 0.2,
-        "highest_limit": 0.4,
-        "limit_cells": 40,
-        "elements": 24,
-        "change_distance": 1e6,
-    }
+    small = {"lowest_limit": 0.2, "highest_limit": 0.4, "limit_cells": 40, "elements": 24}
     for _ in range(runs):
-        strength = new_strength(**correlated, **small, thrust_stddev=scatter * LIMIT)
+        strength = new_strength(**correlated, **small, change_distance=1e6, thrust_stddev=scatter * LIMIT)
         for slip in np.tile((0.0072, 0.03, 0.15), 4):
             error, off = random.standard_normal(2) * (stddev, scatter * LIMIT)
             sample = straight(slip + error, force_of(slip) + off, stddev=stddev, dt=1.0)
@@ -245,10 +238,8 @@ def test_one_track_alone_gives_the_thrust_limit() -> None:
     for slip in (0.0072, 0.2):
         for _ in range(100):
             sample = straight(slip, force_of(slip))
-            assert (
-                strength.update(replace(sample, thrusts=np.array((np.nan, sample.thrusts[1]))))
-                is SampleOutcome.USED
-            )
+            alone = replace(sample, thrusts=np.array((np.nan, sample.thrusts[1])))
+            assert strength.update(alone) is SampleOutcome.USED
     assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
 
 

@@ -14,14 +14,7 @@ from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.terramechanics import (
-    hydraulics,
-    resistance,
-    sinkage,
-    strength,
-    traction,
-    turning,
-)
+from trackslip_estimation.terramechanics import hydraulics, resistance, sinkage, strength, traction, turning
 
 MODULES = (strength, sinkage, resistance, traction, turning, hydraulics)
 PC05 = load_vehicle().whole()

@@ -50,10 +50,8 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
 
     def health(self) -> list[Health]:
         """Return the numbers of scans and fixes, and why scans gave no fix."""
-        (fixes_before, scans_before), self._reported_counts = (
-            self._reported_counts,
-            (self._fixes, self._scans),
-        )
+        fixes_before, scans_before = self._reported_counts
+        self._reported_counts = (self._fixes, self._scans)
         rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         restarts = self._localizer.restarts
         values: dict[str, object] = {

@@ -20,39 +20,33 @@ def estimator_health(
 ) -> Health:
     """Return the entry; ``silence_s``: since the last sprocket sample, None before the first one."""
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
-    values = {**counts, "restarts": estimator.restarts, "divergences": estimator.divergences}
-    values["attitude"] = estimator.attitude
-    values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
-    values |= {
-        quantity.form.label: quantity.sentence
-        for quantity in learned_quantities(estimator.learned, estimator.learned_context)
-    }
     explanations = estimator.competing_explanations.text
-    values |= {
+    learned = learned_quantities(estimator.learned, estimator.learned_context)
+    values = {
+        **counts,
+        "restarts": estimator.restarts,
+        "divergences": estimator.divergences,
+        "attitude": estimator.attitude,
+        **{f"{source} nis": text for source, text in watch.innovations(now_ns).items()},
+        **{quantity.form.label: quantity.sentence for quantity in learned},
         EXPLANATIONS: explanations or "none needed",
         "last events": recent_events_text(estimator.read_events()),
     }
     if silence_s is not None and silence_s > max(p.sprocket_timeout, _SILENCE_TIMEOUT):
         return Health(ERROR, f"sprockets silent for {silence_s:.1f} s", values)
+    diverged = "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""
     if not estimator.started:
         awaited = (
-            "sprockets" if silence_s is None else "a fix on " + ", ".join(nonempty_names(p.pose_sources))
+            "sprockets" if silence_s is None else f"a fix on {', '.join(nonempty_names(p.pose_sources))}"
         )
-        return Health(WARN, f"{_divergence_prefix(watch, now_ns)}waiting for {awaited}", values)
+        return Health(WARN, f"{diverged}waiting for {awaited}", values)
     if estimator.frozen:
         return Health(WARN, "frozen: poses are ignored", values)
-    if watch.has_diverged(now_ns):
-        return Health(WARN, f"{_divergence_prefix(watch, now_ns)}running again", values)
+    if diverged:
+        return Health(WARN, f"{diverged}running again", values)
     if explanations:
         return Health(WARN, explanations, values)
-    lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost_sources(now_ns).items()]
-    return (
-        Health(WARN, f"nothing accepted of {', '.join(lost)}", values)
-        if lost
-        else Health(OK, "running", values)
-    )
-
-
-def _divergence_prefix(watch: SourceWatch, now_ns: int) -> str:
-    """Return the prefix of the message after a recent divergence, else an empty string."""
-    return "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""
+    if lost := watch.lost_sources(now_ns):
+        sources = ", ".join(f"{source} for {seconds:.1f} s" for source, seconds in lost.items())
+        return Health(WARN, f"nothing accepted of {sources}", values)
+    return Health(OK, "running", values)

@@ -39,10 +39,8 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
 
     def health(self) -> list[Health]:
         """Return the numbers of fixes and poses, the datum, and why fixes gave no pose."""
-        (poses_before, fixes_before), self._reported_counts = (
-            self._reported_counts,
-            (self._poses, self._fixes),
-        )
+        poses_before, fixes_before = self._reported_counts
+        self._reported_counts = (self._poses, self._fixes)
         rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         datum = self._localizer.datum
         datum_text = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from rclpy.node import Node
 
@@ -22,16 +22,14 @@ from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measureme
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
-    HeadingSource,
-    OdometrySource,
     Rejection,
-    VelocitySource,
     YawRateSource,
     group_name,
     nonempty_names,
 )
 from trackslip_estimation.slip.static_frames import StaticFrames
 
+Convert: TypeAlias = Callable[[Any], Measurement | Rejection]
 _DEPTH = 100  # several publishers latch one message each
 _ANGLES = ("mounting_roll", "mounting_pitch", "mounting_yaw")
 
@@ -92,83 +90,56 @@ class MeasurementSources:
         node.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._mountings = StaticMountings(node, conversions.Frames(*p.frames).base, p.gyros())
         for source in p.gyros():
-            self._subscribe(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
+            self._subscribe(topic_class("imu/data_raw"), source, partial(self._yaw_rate, source=source))
         for source in nonempty_names(p.pose_sources):
-            self._subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+            self._subscribe(topic_class("box_pose"), source, partial(conversions.pose_fix, source=source))
         for source, compass in p.compasses().items():
-            on_heading = partial(self._on_heading, source=source, compass=compass)
-            self._subscribe(
-                message_class(HEADING_MESSAGES[compass.message]), source, on_heading, packed=False
-            )
-        for source, angle in p.swing_encoders().items():
-            on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
-            self._subscribe(topic_class("swing"), source, on_swing)
+            heading = partial(conversions.heading_fix, source=source, compass=compass)
+            self._subscribe(message_class(HEADING_MESSAGES[compass.message]), source, heading, packed=False)
+        for source, encoder in p.swing_encoders().items():
+            angle = partial(conversions.swing_angle, source=source, variance=encoder.stddev**2)
+            self._subscribe(topic_class("swing"), source, angle)
         for source, stated in p.odometries().items():
-            on_odometry = partial(self._on_odometry, source=source, stated=stated)
-            self._subscribe(topic_class("odometry"), source, on_odometry)
-        for source, velocity in p.velocities().items():
-            on_velocity = partial(self._on_velocity, source=source, stated=velocity)
-            self._subscribe(topic_class(FIX_VELOCITY), source, on_velocity)
+            pose = partial(conversions.odometry_pose, source=source, odometry_=stated)
+            self._subscribe(topic_class("odometry"), source, pose)
+        for source, receiver in p.velocities().items():
+            velocity = partial(conversions.velocity_fix, source=source, velocity_source=receiver)
+            self._subscribe(topic_class(FIX_VELOCITY), source, velocity)
         for source in nonempty_names(p.slip_sources):
-            self._subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+            self._subscribe(topic_class("slip_seed"), source, partial(conversions.slip_fix, source=source))
 
     @property
     def sprocket_silence_s(self) -> float | None:
         """Time since the last sprocket sample, s; None before the first one."""
         return None if self._received_s is None else time.monotonic() - self._received_s
 
-    def _subscribe(
-        self, kind: type, source: str, callback: Callable[[Any], None], *, packed: bool = True
-    ) -> None:
+    def _subscribe(self, kind: type, source: str, convert: Convert, *, packed: bool = True) -> None:
         """Subscribe to a source; reject messages in another frame than the configured one."""
 
-        def process_in_frame(message: Any) -> None:
-            if self._frames.get(source) in (None, read(FrameFields, message).frame):
-                callback(message)
+        def on_message(message: Any) -> None:
+            is_in_frame = self._frames.get(source) in (None, read(FrameFields, message).frame)
+            result = convert(message) if is_in_frame else Rejection.OTHER_FRAME
+            if isinstance(result, Rejection):
+                self._node.tally.add(source, result)
             else:
-                self._node.tally.add(source, Rejection.OTHER_FRAME)
+                self._process(result)
 
         subscribe = self._node.subscribe_packed if packed else self._node.subscribe
-        subscribe(kind, source, process_in_frame)
+        subscribe(kind, source, on_message)
 
     def _on_sprockets(self, message: Any) -> None:
         self._received_s = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
-    def _on_imu(self, message: Any, source: str) -> None:
+    def _on_set_pose(self, message: Any) -> None:
+        """Republish the pose, then use it: a recorder may not have discovered its publisher in time."""
+        self._pose_set.publish(message)
+        self._process(conversions.pose_fix(message, SET_POSE))
+
+    def _yaw_rate(self, message: Any, source: str) -> Measurement | Rejection:
+        """Return the yaw rate of an IMU; publish its mounting once that is determined."""
         imu, parameters = self._mountings.mounted_imu(source, read(FrameFields, message).frame)
         if parameters:  # published, so that a bag contains them
             self._node.settings = self._node.settings.changed(parameters)
             self._node.publish_parameters()
-        self._process_converted(
-            source, Rejection.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
-        )
-
-    def _on_pose(self, message: Any, source: str) -> None:
-        self._process(conversions.pose_fix(message, source))
-
-    def _on_set_pose(self, message: Any) -> None:
-        """Republish the pose, then use it: a recorder may not have discovered its publisher in time."""
-        self._pose_set.publish(message)
-        self._on_pose(message, SET_POSE)
-
-    def _on_heading(self, message: Any, source: str, compass: HeadingSource) -> None:
-        self._process_converted(source, conversions.heading_fix(message, source, compass))
-
-    def _on_swing(self, message: Any, source: str, variance: float) -> None:
-        self._process(conversions.swing_angle(message, source, variance))
-
-    def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
-        self._process_converted(source, conversions.odometry_pose(message, source, stated))
-
-    def _on_velocity(self, message: Any, source: str, stated: VelocitySource) -> None:
-        self._process_converted(source, conversions.velocity_fix(message, source, stated))
-
-    def _on_slips(self, message: Any, source: str) -> None:
-        self._process(conversions.slip_fix(message, source))
-
-    def _process_converted(self, source: str, result: Measurement | Rejection) -> None:
-        if isinstance(result, Rejection):
-            self._node.tally.add(source, result)
-        else:
-            self._process(result)
+        return Rejection.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)

@@ -15,12 +15,7 @@ from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.records import HYDRAULICS, SoilInput
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
-from trackslip_estimation.soil.soil_parameters import (
-    DEFAULT_FILES,
-    NODE,
-    PARAMETERS,
-    SoilEstimatorParameters,
-)
+from trackslip_estimation.soil.soil_parameters import DEFAULT_FILES, NODE, PARAMETERS, SoilEstimatorParameters
 
 _SILENCE_TIMEOUT = 1.0  # s of silence
 NO_OUTPUT_TEXT = "no forces and no soil are estimated"

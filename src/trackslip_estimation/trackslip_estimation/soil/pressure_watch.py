@@ -195,10 +195,8 @@ def _swap_evidence(sample: Sample, p: WatchParameters) -> int:
     It slips more, forwards and in reverse. Nearly equal speeds at the start or end of a turn are no evidence:
     the pressures are transient.
     """
-    difference, speed_difference = (
-        sample.pressures[1] - sample.pressures[0],
-        sample.tracks[1] - sample.tracks[0],
-    )
+    difference = sample.pressures[1] - sample.pressures[0]
+    speed_difference = sample.tracks[1] - sample.tracks[0]
     is_turning = sample.motion == _TURNING and abs(speed_difference) > p.least_speed
     if not is_turning or abs(difference) < p.least_swap_difference:
         return _OPEN

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -54,21 +54,13 @@ class SeedParameters(Parameters):
     )
 
 
-class Thrust(NamedTuple):
-    """Thrusts of both tracks; arrays (2,)."""
-
-    force: FloatArray  # N
-    variance: FloatArray  # N²
-
-
-class StrengthRecord(Record):
-    """Record of ``StrengthSummary``."""
+class SeedStrength(Record):
+    """What a seed needs of a ``StrengthSummary``."""
 
     shear_modulus: float  # m
-    shear_modulus_interval: Annotated[FloatArray, 2]
+    shear_modulus_log_stddev: float
     thrust_limit: float  # N
-    thrust_limit_interval: Annotated[FloatArray, 2]
-    effective_samples: float
+    thrust_limit_log_stddev: float
     largest_thrust: float  # N, up to which a seed is computed; 0 if not identifiable
 
 
@@ -78,20 +70,18 @@ class Seeder(Record):
     is_due: int  # whether a turn has had no seed yet
     time: float  # s, of straight motion
     distance: float  # m, of straight motion
-    newest: StrengthRecord  # of the newest soil state
-    in_turn: StrengthRecord  # when straight motion began
+    newest: SeedStrength  # of the newest soil state
+    in_turn: SeedStrength  # when straight motion began
 
 
 def set_strength(seeder: Seeder, strength: StrengthSummary) -> None:
     """Set the strength of the newest soil state."""
     newest = seeder["newest"]
     for name in ("shear_modulus", "thrust_limit"):
-        newest[name], newest[f"{name}_interval"] = (
-            getattr(strength, name),
-            getattr(strength, f"{name}_interval"),
-        )
-    newest["effective_samples"] = strength.effective_samples
-    largest = strength.thrust_limit / math.exp(_log_stddev(strength.thrust_limit_interval))
+        low, high = getattr(strength, f"{name}_interval")
+        newest[name] = getattr(strength, name)
+        newest[f"{name}_log_stddev"] = math.log(high / low) / _INTERVAL
+    largest = strength.thrust_limit / math.exp(newest["thrust_limit_log_stddev"])
     newest["largest_thrust"] = largest if strength.identifiable else 0.0
 
 
@@ -99,20 +89,8 @@ def make_seed(
     seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SeedParameters, length: float
 ) -> SlipSeed:
     """Return the seed due at a sample with its thrust; ``length``: contact length, m."""
-    soil = seeder["in_turn"]
-    strength = StrengthSummary(
-        float(soil["shear_modulus"]),
-        tuple(soil["shear_modulus_interval"].tolist()),
-        float(soil["thrust_limit"]),
-        tuple(soil["thrust_limit_interval"].tolist()),
-        float(soil["effective_samples"]),
-        identifiable=True,
-        reason="",
-    )
-    measured = Thrust(thrust["force"], thrust["variance"])
-    return SlipSeed(
-        int(sample["stamp_ns"]), *straight_slips(measured, np.sign(sample["tracks"]), strength, p, length)
-    )
+    slips = straight_slips(thrust, np.sign(sample["tracks"]), seeder["in_turn"], p, length)
+    return SlipSeed(int(sample["stamp_ns"]), *slips)
 
 
 @compiled
@@ -140,25 +118,23 @@ def is_seed_due(seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SoilCon
 
 
 @compiled
-def _copy_strength(to: StrengthRecord, source: StrengthRecord) -> None:
-    to.shear_modulus, to.thrust_limit = source.shear_modulus, source.thrust_limit
-    for k in range(2):
-        to.shear_modulus_interval[k] = source.shear_modulus_interval[k]
-        to.thrust_limit_interval[k] = source.thrust_limit_interval[k]
-    to.effective_samples, to.largest_thrust = source.effective_samples, source.largest_thrust
+def _copy_strength(to: SeedStrength, source: SeedStrength) -> None:
+    to.shear_modulus, to.shear_modulus_log_stddev = source.shear_modulus, source.shear_modulus_log_stddev
+    to.thrust_limit, to.thrust_limit_log_stddev = source.thrust_limit, source.thrust_limit_log_stddev
+    to.largest_thrust = source.largest_thrust
 
 
 def straight_slips(
-    thrust: Thrust, direction: FloatArray, soil: StrengthSummary, p: SeedParameters, length: float
+    thrust: ThrustRecord, direction: FloatArray, soil: SeedStrength, p: SeedParameters, length: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return i (2,) and C (2, 2); ``direction``: of travel of each track, 1 or −1.
 
     Raises:
         InputError: a thrust reaches F_max within one standard deviation of either.
     """
-    force, stddev = thrust.force * direction, np.sqrt(thrust.variance + p.thrust_stddev**2)
-    limit, modulus = soil.thrust_limit, soil.shear_modulus
-    limit_ratio = math.exp(_log_stddev(soil.thrust_limit_interval))
+    force, stddev = thrust["force"] * direction, np.sqrt(thrust["variance"] + p.thrust_stddev**2)
+    limit, modulus = float(soil["thrust_limit"]), float(soil["shear_modulus"])
+    limit_ratio = math.exp(soil["thrust_limit_log_stddev"])
 
     def slips(forces: FloatArray, largest: float) -> FloatArray:
         return slip_of_thrust(forces, largest, modulus, length)
@@ -166,15 +142,10 @@ def straight_slips(
     mean = slips(force, limit)
     limit_error = (slips(force, limit / limit_ratio) - slips(force, limit * limit_ratio)) / 2.0
     force_error = (slips(force + stddev, limit) - slips(force - stddev, limit)) / 2.0
-    relative_variance = _log_stddev(soil.shear_modulus_interval) ** 2 + p.share_stddev**2
+    relative_variance = float(soil["shear_modulus_log_stddev"]) ** 2 + p.share_stddev**2
     covariance = (
         relative_variance * np.outer(mean, mean)
         + np.outer(limit_error, limit_error)
         + np.diag(force_error**2)
     )
     return mean, covariance
-
-
-def _log_stddev(interval: tuple[float, float]) -> float:
-    low, high = interval
-    return math.log(high / low) / _INTERVAL

@@ -181,10 +181,8 @@ class SoilEstimator:
             yield SoilOutputs(nothing, [state])
 
     def _soil_state(self, estimator: step.EstimatorState) -> SoilState:
-        (mu_r, mu_l), (mu_r_variance, mu_l_variance) = (
-            estimator["mu"].tolist(),
-            estimator["mu_variance"].tolist(),
-        )
+        mu_r, mu_l = estimator["mu"].tolist()
+        mu_r_variance, mu_l_variance = estimator["mu_variance"].tolist()
         classes = self._classes.probabilities(self._posterior.cells)
         stamp_ns = int(estimator["sample"]["stamp_ns"])
         return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self.strength, classes)

@@ -140,10 +140,8 @@ def initial_state(p: SoilEstimatorParameters) -> Table[EstimatorState]:
     estimator, motor = make_table(EstimatorState, ESTIMATOR_STATE, 1), motor_of(p.vehicle.whole())
     estimator["motor"], estimator["thrust"] = motor, unknown_thrust(motor[0])
     estimator["offsets"], estimator["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
-    estimator["centre"], estimator["bucket_load"] = (
-        new_gravity_centre(p.vehicle),
-        new_bucket_load(p.vehicle.whole()),
-    )
+    estimator["centre"] = new_gravity_centre(p.vehicle)
+    estimator["bucket_load"] = new_bucket_load(p.vehicle.whole())
     estimator["volumetric_efficiency"] = np.nan
     return estimator
 
@@ -188,10 +186,8 @@ def _step(estimator: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
     estimator.has_begun, estimator.newest_ns = True, sample.stamp_ns
     sample.dt = (sample.stamp_ns - before_ns) * 1e-9
     left, right = frame_speeds(sample.twist, p.vehicle.tread)
-    sample.tracks[0], sample.tracks[1] = (
-        track_speed(left, sample.slips[0]),
-        track_speed(right, sample.slips[1]),
-    )
+    sample.tracks[0] = track_speed(left, sample.slips[0])
+    sample.tracks[1] = track_speed(right, sample.slips[1])
     fault = pressure_watch.evaluate_pressures(estimator.watch, sample, p.watch, p.vehicle.relief_pressure)
     is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
     set_ground_load(estimator.load, estimator.centre, sample, p)

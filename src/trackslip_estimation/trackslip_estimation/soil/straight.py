@@ -188,9 +188,8 @@ def _mobilised_thrust(
             j_x = before[e] + s_x * time[e]
             displacement = min(math.sqrt(j_x * j_x + across[e] * across[e]), LARGEST_DISPLACEMENT)
             sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), LEAST_SLIDING)
-            shares[e] = np.divide(
-                terms.strength[e] * mobilised_share(displacement * per_modulus), sliding
-            )  # no check for 0
+            share = terms.strength[e] * mobilised_share(displacement * per_modulus)
+            shares[e] = np.divide(share, sliding)  # no check for 0
         for e in range(n):
             total -= s_x * shares[e]
     return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)

@@ -3,12 +3,9 @@
 """A directory of results with a marker file, so that a user's files are never removed."""
 
 import fcntl
-import os
 import shutil
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from trackslip_common.errors import InputError
 
@@ -40,41 +37,31 @@ LOGS = (
 DEMO = Results("demo", ("bag", "dev", *LOGS, "summary.json", "report.html"), "--output: ")
 
 
-def claim(output: Path, results: Results = DEMO) -> AbstractContextManager[None]:
-    """Mark ``output``, remove the results of an earlier run, and lock out other runs until the exit.
+def claim(output: Path, results: Results = DEMO) -> IO[bytes]:
+    """Mark ``output``, remove the results of an earlier run, and lock out other runs.
+
+    Returns the open marker file; the lock ends when it is closed.
 
     Raises:
         InputError: the directory cannot be created, has other files, or another run is writing there.
     """
     try:
-        return _claim(output, results)
+        output.mkdir(parents=True, exist_ok=True)
+        marker = output / results.marker
+        if not marker.is_file() and any(output.iterdir()):
+            raise results.refusal(f"'{output}' holds files that are not a {results.kind}'s")
+        lock = marker.open("ab")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            raise results.refusal(f"another {results.kind} is writing to '{output}'") from None
+        for pattern in results.files:  # such as ``bag*``
+            for path in output.glob(pattern):
+                _remove(path)
     except OSError as error:
         raise results.refusal(f"'{output}' cannot be written ({error.strerror})") from error
-
-
-def _claim(output: Path, results: Results) -> AbstractContextManager[None]:
-    output.mkdir(parents=True, exist_ok=True)
-    marker = output / results.marker
-    if not marker.is_file() and any(output.iterdir()):
-        raise results.refusal(f"'{output}' holds files that are not a {results.kind}'s")
-    lock = os.open(marker, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(lock)
-        raise results.refusal(f"another {results.kind} is writing to '{output}'") from None
-    for pattern in results.files:  # such as ``bag*``
-        for path in output.glob(pattern):
-            _remove(path)
-    return _released_at_exit(lock)
-
-
-@contextmanager
-def _released_at_exit(lock: int) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        os.close(lock)
+    return lock
 
 
 def _remove(path: Path) -> None:

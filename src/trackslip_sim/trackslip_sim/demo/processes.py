@@ -28,6 +28,26 @@ class DemoFailure(RuntimeError):
     """A failure that ends the demo; its text is shown to the user."""
 
 
+@contextmanager
+def deferred_interrupts() -> Iterator[Callable[[], None]]:
+    """Defer Ctrl-C: the yielded function raises it when called, else the exit raises it.
+
+    An immediate KeyboardInterrupt could be lost in a fork or interrupt the executor.
+    """
+    interrupts: list[int] = []
+
+    def check() -> None:
+        if interrupts:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+    check()
+
+
 class Processes:
     """Child processes; the output of each goes to its own log."""
 
@@ -68,12 +88,9 @@ class Processes:
         codes = {name: self._running[name].poll() for name in self._needed & self._running.keys()}
         return {name: code for name, code in codes.items() if code is not None}
 
+    @deferred_interrupts()
     def stop(self, names: Iterable[str] | None = None) -> None:
         """Interrupt these nodes (or all); kill them after ``_KILL_DELAY``; Ctrl-C is deferred."""
-        with deferred_interrupts():
-            self._stop(names)
-
-    def _stop(self, names: Iterable[str] | None) -> None:
         chosen = {
             name: self._running.pop(name) for name in list(names or self._running) if name in self._running
         }
@@ -90,9 +107,8 @@ class Processes:
         for process in chosen.values():
             process.wait()
         for name in killed:
-            print(
-                f"{name} did not end within {_KILL_DELAY:g} s of being asked, and was killed", file=sys.stderr
-            )
+            text = f"{name} did not end within {_KILL_DELAY:g} s of being asked, and was killed"
+            print(text, file=sys.stderr)
 
 
 def executable(package: str, name: str) -> Path:
@@ -106,26 +122,6 @@ def executable(package: str, name: str) -> Path:
         if path.is_file():
             return path
     raise InputError(f"executable '{name}' of {package} not found on AMENT_PREFIX_PATH; run make setup")
-
-
-@contextmanager
-def deferred_interrupts() -> Iterator[Callable[[], None]]:
-    """Defer Ctrl-C: the yielded function raises it when called, else the exit raises it.
-
-    An immediate KeyboardInterrupt could be lost in a fork or interrupt the executor.
-    """
-    interrupts: list[int] = []
-
-    def check() -> None:
-        if interrupts:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
-    check()
 
 
 def _running_processes(

@@ -142,7 +142,7 @@ def _replay_and_report(output: Path, session: Session, path: Path, console: Cons
         print(f"the nodes' logs are in {output}/*.log", file=sys.stderr)
         return code
     with open_bag(path) as bag:
-        counts = counts_of(bag, session.emitted, session.received)
+        counts = counts_of(bag, session.monitor.emitted, session.monitor.received)
     console.print(counts_table(counts))
     summary = json.loads(numbers.read_text(encoding="utf-8"))
     write_json(numbers, {**summary, "topics": {topic: vars(count) for topic, count in counts.items()}})

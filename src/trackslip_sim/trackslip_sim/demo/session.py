@@ -25,24 +25,14 @@ _MAX_END_DELAY = 30.0  # s, longest delay of the drive's end
 
 
 class Session:
-    """One drive; afterwards ``emitted`` and ``received`` describe it."""
+    """One drive; afterwards ``monitor`` has its counts."""
 
     def __init__(self, processes: Processes, console: Console, check: Callable[[], None]) -> None:
         self._check = check  # raises KeyboardInterrupt after Ctrl-C
         self._processes = processes
         self._console = console
         join_graph()
-        self._monitor = DemoMonitor()
-
-    @property
-    def emitted(self) -> dict[str, int]:
-        """Messages sent by the emulator's devices, per topic."""
-        return self._monitor.emitted
-
-    @property
-    def received(self) -> Counter[str]:
-        """Messages received here, per topic."""
-        return self._monitor.received
+        self.monitor = DemoMonitor()
 
     def bring_up(self, nodes: Sequence[NodeSpec]) -> None:
         """Start the nodes, wait until they are connected and their ports open, activate the emulator.
@@ -54,16 +44,16 @@ class Session:
         for node in nodes:
             self._check()
             self._processes.start(node)
-        self._change_emulator_state("configure", self._monitor.configure_emulator, _CONFIGURE_TIMEOUT)
+        self._change_emulator_state("configure", self.monitor.configure_emulator, _CONFIGURE_TIMEOUT)
         until = time.monotonic() + _DISCOVERY_TIMEOUT
         running = {node.executable for node in nodes}
         drivers = {node.executable for node in nodes if node.package == "trackslip_drivers"}
-        while missing := self._monitor.missing_endpoints(running) | drivers - self._monitor.healthy_nodes:
+        while missing := self.monitor.missing_endpoints(running) | drivers - self.monitor.healthy_nodes:
             self._check_processes()
             if time.monotonic() > until:
                 raise DemoFailure(f"nodes did not find each other: {', '.join(sorted(missing))}")
-            self._monitor.spin_for(0.05)
-        self._change_emulator_state("start", self._monitor.activate_emulator, _DISCOVERY_TIMEOUT)
+            self.monitor.spin_for(0.05)
+        self._change_emulator_state("start", self.monitor.activate_emulator, _DISCOVERY_TIMEOUT)
 
     def show_drive(self, duration: float) -> None:
         """Show the drive until the emulator reports its end.
@@ -73,22 +63,23 @@ class Session:
         """
         began = shown_s = time.monotonic()
         until = began + duration + _MAX_END_DELAY
-        before = Counter(self.received)
+        received = self.monitor.received
+        before = Counter(received)
         terminal = self._console.is_terminal
         period = _LINE_PERIOD if terminal else _PLAIN_PERIOD
         with Live(console=self._console, auto_refresh=False, transient=True) as live:
-            while not self._monitor.finished:
-                self._monitor.spin_for(0.1)
+            while not self.monitor.finished:
+                self.monitor.spin_for(0.1)
                 self._check_processes()
                 now = time.monotonic()
                 if now > until:
                     raise DemoFailure(f"emulator: not finished {_MAX_END_DELAY:g} s after the drive's end")
                 if now - shown_s < period:
                     continue
-                topics = [topic for topic in _RATE_TOPICS if self.received[topic]]
-                rates = {topic: (self.received[topic] - before[topic]) / (now - shown_s) for topic in topics}
-                line = status(now - began, self._monitor.pose, self._monitor.slips, rates)
-                shown_s, before = now, Counter(self.received)
+                topics = [topic for topic in _RATE_TOPICS if received[topic]]
+                rates = {topic: (received[topic] - before[topic]) / (now - shown_s) for topic in topics}
+                line = status(now - began, self.monitor.pose, self.monitor.slips, rates)
+                shown_s, before = now, Counter(received)
                 if terminal:
                     live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
                 else:
@@ -96,7 +87,7 @@ class Session:
 
     def close(self) -> None:
         """Leave the graph."""
-        self._monitor.close()
+        self.monitor.close()
         leave_graph()
 
     def _change_emulator_state(self, verb: str, request: Callable[[float], bool], timeout: float) -> None:

@@ -17,12 +17,8 @@ from trackslip_sim.devices.line import NEVER_NS, BaudLine
 
 RECEIVER_RATE = 10.0  # Hz, default rate of a machine with an antenna
 SINGLE, FLOAT, FIXED = 1, 5, 4  # quality
-_START_QUALITIES = (
-    (2.0, None),
-    (5.0, 0),
-    (8.0, SINGLE),
-    (12.0, FLOAT),
-)  # s since power-on at which a state ends; quality in the state
+# s since power-on at which a state ends; quality in the state
+_START_QUALITIES = ((2.0, None), (5.0, 0), (8.0, SINGLE), (12.0, FLOAT))
 _NS_PER_S = 1_000_000_000
 
 

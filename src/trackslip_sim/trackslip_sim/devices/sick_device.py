@@ -36,9 +36,7 @@ Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 _ACK_DELAY_NS = 5_000_000
 _REPLY_DELAY_NS = 20_000_000
 _RATE_CHANGE_DELAY_NS = 5_000_000  # from the end of the reply to the change of the rate
-_RATE_SETTLING_NS = (
-    200_000_000  # ignores input for this time after a change of rate; manuals ask hosts to pause 250 ms
-)
+_RATE_SETTLING_NS = 200_000_000  # after it the device listens again; manuals ask hosts to pause 250 ms
 _MAX_STAMPS = 10_000
 _NS_PER_S = 1_000_000_000
 _IDENTITY = {"pls": b"PLS101-312", "lms": b"LMS200;30106"}

@@ -3,6 +3,7 @@
 """Faults of transmission: bytes on a serial line, frames on a CAN bus."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -17,7 +18,6 @@ Frame = tuple[int, bytes]  # (arbitration id, payload)
 BUS_OFF_FRAME: Frame = (ERROR_FLAG | 0x40, bytes(8))
 RESTARTED_FRAME: Frame = (ERROR_FLAG | 0x100, bytes(8))
 _FRAME_LENGTH = 8  # largest payload, bytes
-_NS_PER_S = 1_000_000_000
 
 
 class _BurstBuffer(Generic[T]):
@@ -42,37 +42,56 @@ class _BurstBuffer(Generic[T]):
         return out
 
 
-class FaultySerial:
-    """The line from a serial sensor to the host."""
+class _FaultyLine(Generic[T]):
+    """What carries the items of one sensor to the host, with the faults of the sensor."""
 
     def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
-        self._sensor = sensor
         self._faults = faults
-        self._bytes = _ByteFaults(sensor, faults, np.random.default_rng(seed))
-        self._buffer: _BurstBuffer[int] = _BurstBuffer()
+        self._active_fault = partial(faults.active_fault, sensor)
+        self._random = np.random.default_rng(seed)
+        self._buffer: _BurstBuffer[T] = _BurstBuffer()
+
+    def _corrupt(self, data: bytes, now_ns: int) -> bytes:
+        """The bytes as they arrive: dropped, doubled and changed at the rates of the faults."""
+        if not data:
+            return data
+        if lost := self._active_fault(f.LOST_BYTES, now_ns):
+            affected = self._draw_affected(data, lost)
+            data = bytes(byte for byte, is_lost in zip(data, affected, strict=True) if not is_lost)
+        if doubled := self._active_fault(f.DOUBLED_BYTES, now_ns):
+            affected = self._draw_affected(data, doubled)
+            data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, affected, strict=True))
+        if corrupted := self._active_fault(f.CORRUPTED_BYTES, now_ns):
+            data = corrupt_bytes(data, corrupted.value, self._random)
+        return data
+
+    def _draw_affected(self, data: bytes, fault: Fault) -> list[bool]:
+        """Whether each byte is affected."""
+        affected: list[bool] = (self._random.random(len(data)) < fault.value).tolist()
+        return affected
+
+
+class FaultySerial(_FaultyLine[int]):
+    """The line from a serial sensor to the host."""
 
     def transmit(self, data: bytes, now_ns: int) -> bytes:
         """The bytes that arrive now."""
         if not self._faults and not self._buffer:
             return data
-        if self._faults.active_fault(self._sensor, f.UNPLUG, now_ns) is not None:
+        if self._active_fault(f.UNPLUG, now_ns) is not None:
             return b""
-        if self._faults.active_fault(self._sensor, f.WRONG_BAUD, now_ns) is not None:
-            data = self._bytes.noise(len(data))
-        bursts = self._faults.active_fault(self._sensor, f.BURSTS, now_ns)
-        data = self._bytes.corrupt(data, now_ns)
+        if self._active_fault(f.WRONG_BAUD, now_ns) is not None:
+            data = self._random.bytes(len(data))
+        data = self._corrupt(data, now_ns)
+        bursts = self._active_fault(f.BURSTS, now_ns)
         return bytes(self._buffer.transmit(data, bursts, self._faults.time(now_ns)))
 
 
-class FaultyBus:
+class FaultyBus(_FaultyLine[Frame]):
     """The CAN bus from the valve controller to its listeners; byte faults change the payloads."""
 
     def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
-        self._sensor = sensor
-        self._faults = faults
-        self._random = np.random.default_rng(seed)
-        self._bytes = _ByteFaults(sensor, faults, self._random)
-        self._buffer: _BurstBuffer[Frame] = _BurstBuffer()
+        super().__init__(sensor, faults, seed)
         self._is_off = False
 
     def transmit(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
@@ -87,49 +106,9 @@ class FaultyBus:
             frames = []
         elif lost is not None:
             frames = [frame for frame in frames if self._random.random() >= lost.value]
-        frames = [
-            (identifier, self._bytes.corrupt(data, now_ns)[:_FRAME_LENGTH]) for identifier, data in frames
-        ]
+        frames = [(number, self._corrupt(data, now_ns)[:_FRAME_LENGTH]) for number, data in frames]
         out = self._buffer.transmit(frames, self._active_fault(f.BURSTS, now_ns), self._faults.time(now_ns))
         return [RESTARTED_FRAME, *out] if was_off else out
-
-    def _active_fault(self, kind: str, now_ns: int) -> Fault | None:
-        return self._faults.active_fault(self._sensor, kind, now_ns)
-
-
-class _ByteFaults:
-    """Drops, doubles and changes bytes at the rates of the faults."""
-
-    def __init__(self, sensor: str, faults: Faults, random: np.random.Generator) -> None:
-        self._sensor = sensor
-        self._faults = faults
-        self._random = random
-
-    def corrupt(self, data: bytes, now_ns: int) -> bytes:
-        """The bytes as they arrive."""
-        if not data:
-            return data
-        if lost := self._faults.active_fault(self._sensor, f.LOST_BYTES, now_ns):
-            data = bytes(
-                byte
-                for byte, is_lost in zip(data, self._draw_affected(data, lost), strict=True)
-                if not is_lost
-            )
-        if doubled := self._faults.active_fault(self._sensor, f.DOUBLED_BYTES, now_ns):
-            affected = self._draw_affected(data, doubled)
-            data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, affected, strict=True))
-        if corrupted := self._faults.active_fault(self._sensor, f.CORRUPTED_BYTES, now_ns):
-            data = corrupt_bytes(data, corrupted.value, self._random)
-        return data
-
-    def noise(self, count: int) -> bytes:
-        """Random bytes, as received at a wrong baud rate."""
-        return self._random.bytes(count)
-
-    def _draw_affected(self, data: bytes, fault: Fault) -> list[bool]:
-        """Whether each byte is affected."""
-        affected: list[bool] = (self._random.random(len(data)) < fault.value).tolist()
-        return affected
 
 
 def corrupt_bytes(data: bytes, rate: float, random: np.random.Generator) -> bytes:

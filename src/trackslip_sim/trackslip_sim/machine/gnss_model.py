@@ -83,11 +83,7 @@ class GnssModel:
     """
 
     def __init__(
-        self,
-        p: GnssParameters,
-        placement: Callable[[int], Placement],
-        faults: Faults,
-        seed: int,
+        self, p: GnssParameters, placement: Callable[[int], Placement], faults: Faults, seed: int
     ) -> None:
         self._p = p
         self._placement = placement

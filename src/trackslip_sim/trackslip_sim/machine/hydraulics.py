@@ -16,12 +16,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import MotionParameters, MotionState, Speeds, classify
-from trackslip_estimation.soil.records import (
-    Hydraulics,
-    MachineState,
-    PoseWithCovariance,
-    SoilInput,
-)
+from trackslip_estimation.soil.records import Hydraulics, MachineState, PoseWithCovariance, SoilInput
 from trackslip_estimation.soil.tracks import frame_speeds
 from trackslip_sim.truth.record import Truth
 
@@ -45,10 +40,10 @@ class InputErrors:
 
 
 def soil_inputs(
-    truth: Truth, vehicle: Vehicle, limits: MotionParameters, errors: InputErrors, seed: int = 0
+    truth: Truth, vehicle: Vehicle, limits: MotionParameters, errors: InputErrors
 ) -> Iterator[SoilInput]:
     """Machine states and hydraulics at 100 Hz each, in the order of arrival."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     step = _PERIOD_NS * 1e-9
     at = truth.interpolate(np.arange(round(truth.duration / step)) * step)
     later = truth.interpolate(at.t + _HYDRAULICS_DELAY_NS * 1e-9)
@@ -57,17 +52,14 @@ def soil_inputs(
     poses = np.stack((at.x, at.y, at.yaw), axis=-1)
     deviations = np.array((errors.speed_stddev, errors.speed_stddev, errors.yaw_rate_stddev))
     decay, state = math.exp(-step / errors.error_time), MotionState()
-    error, position_error = (
-        deviations * rng.standard_normal(3),
-        errors.position_stddev * rng.standard_normal(2),
-    )
+    renewal = math.sqrt(1.0 - decay**2)
+    error = deviations * rng.standard_normal(3)
+    position_error = errors.position_stddev * rng.standard_normal(2)
     covariance = np.diag((errors.position_stddev**2, errors.position_stddev**2, 0.0))
     for k in range(len(at)):
         stamp_ns = START_NS + k * _PERIOD_NS
-        error = decay * error + math.sqrt(1.0 - decay**2) * deviations * rng.standard_normal(3)
-        position_error = decay * position_error + math.sqrt(
-            1.0 - decay**2
-        ) * errors.position_stddev * rng.standard_normal(2)
+        error = decay * error + renewal * deviations * rng.standard_normal(3)
+        position_error = decay * position_error + renewal * errors.position_stddev * rng.standard_normal(2)
         speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]))
         state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _MIN_TRACK_SPEED else 0.0)

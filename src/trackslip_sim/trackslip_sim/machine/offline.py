@@ -227,7 +227,7 @@ class _Host:
             if since_ns % topic.period_ns == 0:
                 self.recording.add(name, now_ns, now_ns)
         if since_ns % SOIL_NS == 0:
-            at = self._window.truth.sample_at(self.excavator.sensors.time(now_ns))
+            at = self._window.truth.interpolate(self.excavator.sensors.time(now_ns))
             soil = soil_message(make, at, now_ns, self._vehicle, self._body_frame)
             self.recording.add("truth/soil", soil, now_ns)
 

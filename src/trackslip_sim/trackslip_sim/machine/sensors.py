@@ -190,11 +190,9 @@ class MachineSensors:
             rates += (at.roll_rate, at.pitch_rate, at.yaw_rate)
         if self._mounting.imu_above:
             to_upper = rotation_about_z(at.swing).T
-            to_sensor, acceleration, rates = (
-                to_upper @ to_sensor,
-                to_upper @ acceleration,
-                to_upper @ rates,
-            )
+            to_sensor = to_upper @ to_sensor
+            acceleration = to_upper @ acceleration
+            rates = to_upper @ rates
             rates[2] += at.swing_rate if driving else 0.0
         acceleration += (noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z)
         acceleration += noise.acceleration_stddev * self._standard_normal()

@@ -60,15 +60,13 @@ class DemoMonitor(Node):
 
     def __init__(self) -> None:
         super().__init__("demo")
-        self.received: Counter[str] = Counter()
-        self.emitted: dict[str, int] = {}
+        self.received: Counter[str] = Counter()  # messages, per topic
+        self.emitted: dict[str, int] = {}  # messages that the emulator's devices sent, per topic
         self.finished = False
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
         self.healthy_nodes: set[str] = set()  # nodes whose last status is not an error: their ports are open
-        self._recorder_publishers: dict[
-            str, str
-        ] = {}  # topic → number of publishers connected to the recorder
+        self._recorder_publishers: dict[str, str] = {}  # topic → number of those that the recorder receives
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
         self._emulator = RemoteLifecycle(self, self._spinner, "emulator")
@@ -139,12 +137,10 @@ class DemoMonitor(Node):
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
-            change = (
-                self.healthy_nodes.discard
-                if status.level == DiagnosticStatus.ERROR
-                else self.healthy_nodes.add
-            )
-            change(status.name)
+            if status.level == DiagnosticStatus.ERROR:
+                self.healthy_nodes.discard(status.name)
+            else:
+                self.healthy_nodes.add(status.name)
             if status.name == "record: publishers":
                 self._recorder_publishers = {pair.key: pair.value for pair in status.values}
             if status.name == "emulator":

@@ -163,7 +163,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self.get_logger().error(self._failure_text)
 
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        at, stamp = self._truth.sample_at(excavator.sensors.time(stamp_ns)), stamp_columns([stamp_ns])
+        at, stamp = self._truth.interpolate(excavator.sensors.time(stamp_ns)), stamp_columns([stamp_ns])
         since_ns = stamp_ns - excavator.drive_start_ns
         for name, topic in self._truth_topics.items():
             if since_ns % topic.period_ns < TRUTH_NS:

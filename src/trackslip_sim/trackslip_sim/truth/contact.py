@@ -60,11 +60,9 @@ def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
     for k in range(2):
         for e in range(len(tracks.x_e)):
             soil = shear.soil[k, e]
-            cohesion, tan_friction, modulus = (
-                ground.table[soil, 0],
-                ground.table[soil, 1],
-                ground.table[soil, 2],
-            )
+            cohesion = ground.table[soil, 0]
+            tan_friction = ground.table[soil, 1]
+            modulus = ground.table[soil, 2]
             displacement = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
             area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0  # 0 where the track has lifted
             full = cohesion * area + tracks.load[k, e] * tan_friction

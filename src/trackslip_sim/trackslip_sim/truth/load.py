@@ -22,9 +22,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_sim.truth.contact import Tracks
 
-_MAX_OFFSET = (
-    0.499  # of l and of B: largest offset of the centre of pressure; beyond it the machine tips over
-)
+_MAX_OFFSET = 0.499  # of l and of B: the centre of pressure beyond which the machine tips over
 
 
 class Load(NamedTuple):

@@ -80,7 +80,7 @@ class Truth:
         return Truth(**columns, soil_index=self.soil_index[first:], soil_names=self.soil_names)
 
     def interpolate(self, times: ArrayLike) -> Truth:
-        """The truth at the given times (m,), s: linear between samples, held beyond the ends.
+        """The truth at the given times (m,), or at one time, s: linear between samples, held beyond the ends.
 
         The soil is that of the previous sample.
         """
@@ -89,10 +89,6 @@ class Truth:
         columns = {name: np.interp(t, self.t, getattr(self, name)) for name in COLUMNS}
         columns["t"] = t
         return Truth(**columns, soil_index=self.soil_index[before], soil_names=self.soil_names)
-
-    def sample_at(self, t: float) -> Truth:
-        """The truth at one time, as a record of one sample."""
-        return self.interpolate(t)
 
 
 COLUMNS = tuple(

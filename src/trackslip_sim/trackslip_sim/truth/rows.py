@@ -10,7 +10,6 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import pressure_of_thrust
-from trackslip_sim.truth.ground import SoilMap, soil_at
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import TruthSettings
 
@@ -45,14 +44,6 @@ class Column(IntEnum):
 
 
 WIDTH = 31
-
-
-def start_row(ground: SoilMap, weight: float) -> FloatArray:
-    """The row (1, WIDTH) of a machine of this weight, N, at rest at the origin of flat ground."""
-    row = np.zeros((1, WIDTH))
-    row[0, Column.SOIL] = soil_at(0.0, 0.0, ground)
-    row[0, Column.LOAD : Column.LOAD + 2] = 0.5 * weight
-    return row
 
 
 class UnsolvedStepError(ArithmeticError):

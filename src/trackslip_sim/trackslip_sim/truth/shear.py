@@ -32,15 +32,7 @@ from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
 from trackslip_sim.truth.lag import Valves, spool_positions, valves_of
 from trackslip_sim.truth.load import Load, distribute_load, set_normal_force
 from trackslip_sim.truth.mass_properties import unloaded_centre
-from trackslip_sim.truth.motion import (
-    MAX_ITERATIONS,
-    SIZE,
-    TOLERANCE,
-    Machine,
-    Newton,
-    new_step,
-    solve_step,
-)
+from trackslip_sim.truth.motion import MAX_ITERATIONS, SIZE, TOLERANCE, Machine, Newton, new_step, solve_step
 from trackslip_sim.truth.pose import advance_pose, attitude_of, body_rates, pose_rates
 from trackslip_sim.truth.rows import WIDTH, Column, require_solved
 from trackslip_sim.truth.settings import TruthSettings

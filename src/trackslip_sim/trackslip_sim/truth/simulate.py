@@ -99,10 +99,8 @@ def simulate_in_pieces(
     relief = scenario.relief_pressure or vehicle.relief_pressure
     machine = MODES[mode](ground, vehicle, settings, relief)
     recorder = Recorder(vehicle, settings, machine.relief_pressure, ground.names)
-    swing, mass_properties = (
-        Swing(scenario, upper, settings),
-        MassProperties(scenario, vehicle, upper, settings),
-    )
+    swing = Swing(scenario, upper, settings)
+    mass_properties = MassProperties(scenario, vehicle, upper, settings)
     return _simulate_pieces(machine, recorder, swing, mass_properties)
 
 

@@ -28,7 +28,7 @@ from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
 from trackslip_sim.truth.lag import Valves, spool_positions, valves_of
 from trackslip_sim.truth.pose import advance_pose
-from trackslip_sim.truth.rows import WIDTH, Column, require_solved, start_row
+from trackslip_sim.truth.rows import WIDTH, Column, require_solved
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, TerrainMap
 
@@ -94,9 +94,8 @@ def evaluate_forces(q: FloatArray, body: Body, balance: ForceBalance) -> None:
     for k in range(2):
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
-        slip_gain = body.length / (
-            max(abs(balance.u[k]), body.slip_floor) * soil[1]
-        )  # i l/K of one m/s of sliding
+        # i l/K of one m/s of sliding
+        slip_gain = body.length / (max(abs(balance.u[k]), body.slip_floor) * soil[1])
         x = (balance.u[k] - v) * slip_gain
         size = abs(x)
         if size < 1e-4:
@@ -221,13 +220,15 @@ class ThesisDrive:
             valves_of(vehicle, settings),
             settings.steps_per_sample,
         )
-        self._weight = vehicle.weight
         work = ForceBalance(*(np.zeros(size) for size in (3, 3, 2, 4, 2, 3, 2, 2, 1)))
         self._state = State(np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(2), work)
 
     def first_row(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
-        return start_row(self._model.ground, self._weight)
+        row = np.zeros((1, WIDTH))
+        row[0, Column.SOIL] = soil_at(0.0, 0.0, self._model.ground)
+        row[0, Column.LOAD : Column.LOAD + 2] = 0.5 * self._model.body.weight
+        return row
 
     def drive(self, commands: FloatArray, mass_properties: FloatArray | None = None) -> FloatArray:
         """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; loads are ignored.

@@ -117,7 +117,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         turning=moving & (rows.drives["motion"]["motion"][scored] == Motion.TURNING),
         noise=load_emulator_parameters({}).noise,
         sensor_poses=_sensor_poses(at, estimator),
-        start_sensor_pose=_sensor_poses(truth.sample_at(0.0), estimator)[0],
+        start_sensor_pose=_sensor_poses(truth.interpolate(0.0), estimator)[0],
         gyro_yaw_rate=_gyro_yaw_rate(at, estimator),
         swings=estimator.swings,
         fix_size=3 if estimator.poses()[_first_source(estimator.poses(), "pose_sources")].use_heading else 2,

@@ -121,9 +121,7 @@ def trace(setting: Setting, seed: int) -> Trace:
     deviations = np.sqrt(
         output_variances(drive.samples, means, covariances, states, new_scratch(), setting.linear)
     )
-    t, poses, slips = (
-        drive.truth.t[drive.samples],
-        trial.states[drive.samples, POSE],
-        trial.slips[drive.samples],
-    )
+    t = drive.truth.t[drive.samples]
+    poses = trial.states[drive.samples, POSE]
+    slips = trial.slips[drive.samples]
     return Trace(t, poses, poses + errors[:, :3], slips, slips + errors[:, SLIPS], deviations[:, SLIPS])

@@ -64,10 +64,13 @@ def run_figures(p: StudyParameters, estimator: SlipEstimatorParameters) -> Itera
         yield name, figure
 
 
-def write_terrain_figure(rows: Sequence[Row], folder: Path) -> None:
-    """``terrain_figure`` as a PNG file."""
+def write_figures(rows: Sequence[Row], folder: Path) -> None:
+    """Write ``terrain_figure`` of the rows on terrain, else all of ``monte_carlo_figures``, as PNG files."""
+    sloping = [row for row in rows if row.terrain]
     with style.context(dict(STYLE)):
-        save_figure(terrain_figure(rows), folder / "study_slopes.png")
+        drawn = [("study_slopes", terrain_figure(sloping))] if sloping else monte_carlo_figures(rows)
+        for name, figure in drawn:
+            save_figure(figure, folder / f"{name}.png")
 
 
 def terrain_figure(rows: Sequence[Row]) -> Figure:
@@ -89,13 +92,6 @@ def terrain_figure(rows: Sequence[Row]) -> Figure:
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=8)
     figure.suptitle("On terrain, beside the bound; hollow: taking the ground for flat", x=0.01, ha="left")
     return figure
-
-
-def write_monte_carlo(rows: Sequence[Row], folder: Path) -> None:
-    """All of ``monte_carlo_figures`` as PNG files."""
-    with style.context(dict(STYLE)):
-        for name, figure in monte_carlo_figures(rows):
-            save_figure(figure, folder / f"{name}.png")
 
 
 def monte_carlo_figures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:

@@ -231,7 +231,4 @@ class SlipStudy(Study[Cell, Row]):
         from trackslip_sim.study.slip import figures  # loads matplotlib, which is slow
 
         super().write(rows, folder)
-        if sloping := [row for row in rows if row.terrain]:
-            figures.write_terrain_figure(sloping, folder / "figures")
-        else:
-            figures.write_monte_carlo(rows, folder / "figures")
+        figures.write_figures(rows, folder / "figures")

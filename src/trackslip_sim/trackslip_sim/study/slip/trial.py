@@ -147,10 +147,8 @@ def _write_swing(
     start[SWING] = drive.full_truth.swing[0]
     states[:, SWING], states[:, SWING_RATE] = at.swing, at.swing_rate
     states[:, ROTATION_OFFSET] += c["swing"]["balance"] * (np.cos(at.swing) - np.cos(start[SWING]))
-    source, noise = (
-        setting.rows.measurements["source"][is_angle],
-        setting.rows.measurements["noise"][is_angle],
-    )
+    source = setting.rows.measurements["source"][is_angle]
+    noise = setting.rows.measurements["noise"][is_angle]
     offset = c["heading_offset"][source]
     values[is_angle, 0] = (
         at.swing[is_angle] + offset + np.sqrt(noise[:, 0, 0]) * random.standard_normal(len(noise))
@@ -173,10 +171,8 @@ def _drawn_trial(setting: Setting, random: np.random.Generator) -> Trial:
     )
     poses = np.concatenate((np.zeros((1, 3)), integrate_twists(twists[1:], period, np.zeros(3))))
     delay = machine.fix_delay
-    row_poses, row_twists = (
-        interpolate_columns(at.t, truth.t, poses),
-        interpolate_columns(at.t, truth.t, twists),
-    )
+    row_poses = interpolate_columns(at.t, truth.t, poses)
+    row_twists = interpolate_columns(at.t, truth.t, twists)
     deviations = fix_deviations(setting.cell, setting.sigma_heading) * np.sqrt(machine.fix_variance)
     start = _initial_estimate(setting, deviations * random.standard_normal(3))
     mean, covariance = prior = _initial_estimate(setting, np.zeros(3))

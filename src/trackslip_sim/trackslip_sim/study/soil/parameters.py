@@ -9,7 +9,7 @@ from itertools import product
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import parameter
 from trackslip_common.soils import load_soils, soil
-from trackslip_sim.scenarios.scenario import Scenario, load_scenario
+from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.engine import GridParameters
 from trackslip_sim.truth.ground import build_ground
@@ -61,14 +61,9 @@ def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
         scenario = load_scenario(name)
         soils = (scenario.soil,) if scenario.patches else p.soils
         for base in soils:
-            _check_ground(base, scenario)
+            build_ground(soil(base), scenario.patches, load_soils())  # refused here, not in the first run
         for terrain in p.terrains:
             if terrain:
                 load_terrain(terrain)
             for combination in product(soils, machines, p.sigma_xy):
                 yield SoilCell(name, *combination, terrain)
-
-
-def _check_ground(base: str, scenario: Scenario) -> None:
-    """Raise ``InputError`` before the first run for a ground that the truth would refuse."""
-    build_ground(soil(base), scenario.patches, load_soils())

@@ -94,11 +94,9 @@ def run_trial(trial: Trial, setting: Setting | None = None) -> Result:
 def _strength_errors(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
     """Errors of the estimate at the end, against the soil under C."""
     ground, strength = soil(truth.soil_name()), last.strength
-    modulus, limit, mu_r = (
-        ground.value("shear_modulus"),
-        soil_thrust_limit(ground, vehicle),
-        ground.value("mu_r"),
-    )
+    modulus = ground.value("shear_modulus")
+    limit = soil_thrust_limit(ground, vehicle)
+    mu_r = ground.value("mu_r")
     return {
         "limit": strength.thrust_limit / limit,
         "limit_interval": _relative_interval(strength.thrust_limit_interval, limit),

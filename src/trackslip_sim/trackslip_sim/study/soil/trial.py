@@ -21,7 +21,7 @@ from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprocke
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.records import Hydraulics, inputs_from_estimates
-from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
+from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.sensors import SensorNoise, tilt_readings
 from trackslip_sim.parameters import load_emulator_parameters
@@ -104,22 +104,12 @@ def _scenario_of(trial: Trial) -> Scenario:
     return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
 
 
-def soil_states(trial: Trial, truth: Truth, setting: Setting | None = None) -> Iterator[SoilState]:
-    """Soil states that the soil estimator publishes on a drive."""
-    setting = setting or load_setting()
-    for output in estimator_outputs(draw_readings(trial, truth, setting), setting):
-        if isinstance(output, SoilState):
-            yield output
-
-
 def estimator_outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
     """All outputs of the soil estimator."""
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
     samples = results[[isinstance(measurement, Sprockets) for measurement in readings.arrivals]]
-    inputs = np.repeat(
-        inputs_from_estimates(samples["estimate"]), 2
-    )  # each reading, and its state if published
+    inputs = np.repeat(inputs_from_estimates(samples["estimate"]), 2)  # each reading, then its state
     for record, reading in zip(inputs[::2], readings.pressures, strict=True):
         reading.write_to(record)
     is_published = np.ones(len(inputs), np.bool_)
