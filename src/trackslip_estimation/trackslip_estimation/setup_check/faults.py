@@ -122,23 +122,9 @@ def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
                 gyro.rates[:, axis],
                 _readings_after_gap(gyro.t),
             )
-        is_valid = ~is_missing
-        gyros.append(
-            replace(
-                gyro,
-                t=gyro.t[is_valid],
-                rates=gyro.rates[is_valid],
-                accelerations=gyro.accelerations[is_valid],
-            )
-        )
+        gyros.append(gyro.select(~is_missing))
     for source in log.fixes:
-        is_missing = _mark_missing_fixes(missing_values, source.name, source.places)
-        is_valid = ~is_missing
-        fixes.append(
-            replace(
-                source, t=source.t[is_valid], places=source.places[is_valid], stddevs=source.stddevs[is_valid]
-            )
-        )
+        fixes.append(source.select(~_mark_missing_fixes(missing_values, source.name, source.places)))
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), missing_values
 
 
