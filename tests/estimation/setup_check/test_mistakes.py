@@ -19,7 +19,7 @@ from trackslip_estimation.setup_check.clocks import SourceDelay, judge_delays
 from trackslip_estimation.setup_check.collect import Columns, log_of_columns
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
-from trackslip_estimation.setup_check.grid import integral
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Counts, Log, Tracks
 from trackslip_estimation.setup_check.places import is_sliding
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -305,9 +305,7 @@ def test_slip_in_turns_to_one_side_is_no_lever_arm() -> None:
     log = make_drive(programme=ONE_SIDED, lever=(0.0, 0.0))
     turning = np.abs(np.gradient(log.tracks.angles[:, 1] - log.tracks.angles[:, 0])) > 1e-3
     speeds = np.where(turning[:, np.newaxis], log.tracks.speeds + 0.5, log.tracks.speeds)  # both tracks spin
-    assert (
-        names_of(replace(log, tracks=Tracks(log.tracks.t, speeds, integral(log.tracks.t, speeds)))) == set()
-    )
+    assert names_of(replace(log, tracks=tracks_of_speeds(log.tracks.t, speeds))) == set()
 
 
 STEADY = (*4 * ((8.0, 0.9, 0.0), (4.0, 0.9, 0.4), (8.0, 0.9, 0.0), (4.0, 0.9, -0.4)),)
@@ -452,8 +450,7 @@ def test_a_course_over_ground_is_no_heading() -> None:
 
 
 def without_direction(log: Log) -> Log:
-    speeds = np.abs(log.tracks.speeds)
-    return replace(log, tracks=Tracks(log.tracks.t, speeds, integral(log.tracks.t, speeds)))
+    return replace(log, tracks=tracks_of_speeds(log.tracks.t, np.abs(log.tracks.speeds)))
 
 
 def frozen_fixes(log: Log) -> Log:

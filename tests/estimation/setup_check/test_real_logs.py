@@ -20,7 +20,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
-from trackslip_estimation.setup_check.grid import integral
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import record_drive
@@ -82,8 +82,7 @@ def _first_rows(index: FloatArray) -> FloatArray:
 
 
 def _tracks(t: FloatArray, left: FloatArray, right: FloatArray) -> Tracks:
-    speeds = np.column_stack((left, right))
-    return Tracks(t, speeds, integral(t, speeds))
+    return tracks_of_speeds(t, np.column_stack((left, right)))
 
 
 def _one_axis(t: FloatArray, rate: FloatArray, force: FloatArray | None = None) -> Gyro:

@@ -17,8 +17,8 @@ from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import time_factor
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import path_delay_logs
-from trackslip_estimation.setup_check.grid import continuous_angles
-from trackslip_estimation.setup_check.log import Fixes, Log, Tracks
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
+from trackslip_estimation.setup_check.log import Fixes, Log
 from trackslip_estimation.setup_check.path import thin_fixes
 
 LEAST_DELAY = 0.15  # s; shorter ones may come from the ground's response, sensor filters or held values
@@ -112,16 +112,15 @@ def _scale_stamps(log: Log, factors: dict[str, float]) -> Log:
     def scale(t: FloatArray) -> FloatArray:
         return start + (t - start) * common
 
-    t = scale(log.tracks.t)
-    angles, speeds = log.tracks.angles, log.tracks.speeds
-    if common != 1.0 and np.isfinite(speeds).all():
-        angles = continuous_angles(t, speeds, np.full(speeds.shape, np.nan))
+    tracks = replace(log.tracks, t=scale(log.tracks.t))
+    if common != 1.0 and np.isfinite(tracks.speeds).all():
+        tracks = tracks_of_speeds(tracks.t, tracks.speeds)
     similar = {name for name, factor in factors.items() if factor == common}
     gyros = tuple(replace(g, t=scale(g.t)) for g in log.gyros if g.name in similar)
     fixes = tuple(replace(f, t=scale(f.t)) for f in log.fixes if f.name in similar)
     same_unit = similar | ({c.name for c in log.compasses} - factors.keys())
     compasses = tuple(replace(c, t=scale(c.t)) for c in log.compasses if c.name in same_unit)
-    return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
+    return replace(log, tracks=tracks, gyros=gyros, fixes=fixes, compasses=compasses)
 
 
 def measure_delays(drive: Drive) -> list[SourceDelay]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.grid import continuous_angles
-from trackslip_estimation.setup_check.log import ComplexArray, Log, Tracks
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
+from trackslip_estimation.setup_check.log import ComplexArray, Log
 
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, within the range of the others or far beyond it
@@ -107,10 +107,7 @@ def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
         speeds, gaps = tracks.speeds[:, side], _readings_after_gap(tracks.t)
         is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", speeds, gaps, count)
     if is_missing.any():
-        is_valid = ~is_missing
-        unknown = np.full((int(is_valid.sum()), 2), np.nan)
-        t, speeds = tracks.t[is_valid], tracks.speeds[is_valid]
-        log = replace(log, tracks=Tracks(t, speeds, continuous_angles(t, speeds, unknown)))
+        log = replace(log, tracks=tracks_of_speeds(tracks.t[~is_missing], tracks.speeds[~is_missing]))
     gyros, fixes = [], []
     for gyro in log.gyros:
         is_missing = np.zeros(len(gyro.t), np.bool_)

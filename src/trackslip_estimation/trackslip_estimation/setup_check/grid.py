@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
-from trackslip_estimation.setup_check.log import Gyro, Log
+from trackslip_estimation.setup_check.log import Gyro, Log, Tracks
 
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
@@ -65,11 +65,9 @@ def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(means * steps, axis=0)))
 
 
-def continuous_angles(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
-    """(n, 2) continuous angles: positions (n, 2) where all are numbers, else the integral of the speeds."""
-    if len(t) and np.isfinite(positions).all():
-        return positions
-    return integral(t, speeds)
+def tracks_of_speeds(t: FloatArray, speeds: FloatArray) -> Tracks:
+    """The sprockets with speeds (n, 2), rad/s, and their integral as angles."""
+    return Tracks(t, speeds, integral(t, speeds))
 
 
 def increments(t: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
