@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Columns with placeholders of missing values, or with wrong units of time."""
+"""Columns with placeholders of missing values."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -22,8 +22,6 @@ _RETURN_SHARE = 0.3  # of a jump, largest difference of the readings before and 
 _QUANTA = 5.0  # times the smallest changes of readings
 _JITTER_COUNTS = 2.5  # counts: one forward and one back in a row, and half of one by jitter of stamps
 _LARGE_SHARE = 0.3  # of the size of large readings; smaller jumps may be motion or noise
-_TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
-_PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
 _FIX_STEP = 30.0  # m from both neighbours; a place farther away is no fix of the machine
 
 
@@ -162,16 +160,3 @@ def _mark_missing_fixes(missing_values: list[MissingValue], source: str, places:
     count, share = int(jumps.where.sum()), float(jumps.where.mean())
     missing_values.append(MissingValue(source, "place", float(jumps.value.real), count, share, 2))
     return jumps.where
-
-
-def time_factor(t: FloatArray, kind: str) -> float:
-    """Factor that gives stamps a plausible period of such a sensor; 1 where they have one, or none fits."""
-    if len(t) < 10:
-        return 1.0
-    period = float(np.median(np.diff(t)))
-    low, high = _PERIODS[kind]
-    if low <= period <= high or period <= 0.0:
-        return 1.0
-    usual = float(np.sqrt(low * high))
-    fitting = [f for f in _TIME_FACTORS if low <= period * f <= high]
-    return min(fitting, key=lambda f: abs(np.log(period * f / usual)), default=1.0)
