@@ -18,7 +18,7 @@ from trackslip_estimation.setup_check.heading import (
 )
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine
 from trackslip_estimation.setup_check.path import Path, PathFits, compare_paths, dead_reckoning, thin_fixes
-from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, median_bias
+from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, known_windows, median_bias
 
 USUAL_EFFICIENCY = 0.7  # κ, turning efficiency, where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
@@ -90,8 +90,7 @@ class Drive:
     @cached_property
     def unbiased_turn(self) -> FloatArray:
         """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
-        known = np.isfinite(self.turn) & np.isfinite(self.tracks_over_tread).all(axis=1)
-        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known]) * WINDOW
+        return self.turn - median_bias(*known_windows(self.turn, self.tracks_over_tread)) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:

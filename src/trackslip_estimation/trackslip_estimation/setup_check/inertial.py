@@ -22,6 +22,8 @@ from trackslip_estimation.setup_check.turning import (
     PATTERNS,
     count_turns,
     fit_turns,
+    has_standstill,
+    known_windows,
     log_mixture_density,
     median_bias,
     standstill_windows,
@@ -44,7 +46,6 @@ UNITS = {  # reading per rad/s, by true and declared unit
 EFFICIENCY = (0.08, 1.5)  # turn by the gyro over turn by the tracks, of any machine on any ground
 _USUAL_EFFICIENCY = 0.6
 _LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; a larger one is a wrong unit
-_LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
 _LEAST_GAIN = 5.0  # ln likelihood ratio over no relation
 _TRACK_GAIN = 3.0  # the same, of turns by the tracks
@@ -206,8 +207,8 @@ def _remount(
 
 def _heading_range(turn: FloatArray, x: FloatArray) -> float:
     """Range of the heading by turns (w,) in windows, less their bias, rad."""
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y = turn[usable] - median_bias(turn[usable], x[usable]) * WINDOW
+    y, x = known_windows(turn, x)
+    y = y - median_bias(y, x) * WINDOW
     return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
 
 
@@ -226,8 +227,7 @@ def _tilt_range(gyro: Gyro) -> float:
 
 def turn_ratio(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the gyro over the largest turn that tracks of any signs explain; 0 for half a turn or less."""
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y, x = turn[usable], x[usable]
+    y, x = known_windows(turn, x)
     y = np.abs(y - median_bias(y, x) * WINDOW)
     most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
     total = float(y.sum())
@@ -350,10 +350,9 @@ def _judge_bias(drive: Drive, gyro: Gyro) -> Cause | None:
 
 
 def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y, x = turn[usable], x[usable]
+    y, x = known_windows(turn, x)
     still = standstill_windows(x)
-    if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
+    if not has_standstill(x) or (~still).sum() < 3:
         return None
     bias = median_bias(y, x)
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
