@@ -60,6 +60,11 @@ class Drive:
         return next(iter(self.log.gyros), None)
 
     @property
+    def is_swing_unknown(self) -> bool:
+        """Whether the gyro is on an upper structure whose swing was not recorded."""
+        return self.gyro is not None and self.gyro.is_above and self.log.swing is None
+
+    @property
     def fixes(self) -> Fixes | None:
         """The source of positions, or None."""
         return next(iter(self.log.fixes), None)
@@ -101,7 +106,7 @@ class Drive:
     @cached_property
     def heading_turn(self) -> FloatArray:
         """(w,) turn of the stated headings, rad."""
-        return np.diff(self.headings[:: max(round(WINDOW / self.grid.cell), 1)])
+        return np.diff(self.headings[:: self.grid.cells_per_window])
 
     @cached_property
     def fix_distances(self) -> FloatArray:

@@ -31,6 +31,16 @@ class Grid:
         """Length of a cell, s."""
         return float(self.edges[1] - self.edges[0])
 
+    @property
+    def window_edges(self) -> FloatArray:
+        """(w + 1,) edges of the windows of ``WINDOW`` s, s."""
+        return self.edges[:: self.cells_per_window]
+
+    @property
+    def cells_per_window(self) -> int:
+        """Number of cells in a window."""
+        return max(round(WINDOW / self.cell), 1)
+
 
 def make_grid(log: Log, gyro: Gyro | None) -> Grid | None:
     """Grid from the first to the last reading of the tracks; None where there are hardly any."""
@@ -87,13 +97,7 @@ def covered_cells(t: FloatArray, edges: FloatArray) -> BoolArray:
 
 def window_sums(grid: Grid, values: FloatArray) -> FloatArray:
     """(w, …) sums of (m, …) values over windows of ``WINDOW`` s."""
-    size = max(round(WINDOW / grid.cell), 1)
+    size = grid.cells_per_window
     count = len(values) // size
     shaped = values[: count * size].reshape(count, size, *values.shape[1:])
     return np.asarray(shaped.sum(axis=1))
-
-
-def window_edges(grid: Grid) -> FloatArray:
-    """(w + 1,) edges of the windows, s."""
-    size = max(round(WINDOW / grid.cell), 1)
-    return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]

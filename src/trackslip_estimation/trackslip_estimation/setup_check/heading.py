@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.finding import PRIOR
-from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
+from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_sums
 from trackslip_estimation.setup_check.log import Compass, Fixes
 from trackslip_estimation.setup_check.turning import log_mixture_density
 
@@ -63,7 +63,7 @@ def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
 
 def window_displacements(fixes: Fixes, grid: Grid) -> FloatArray:
     """(w, 2) displacements in windows, m; nan where there is no fix."""
-    return np.diff(place_at(fixes, window_edges(grid)), axis=0)
+    return np.diff(place_at(fixes, grid.window_edges), axis=0)
 
 
 def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArray:
@@ -88,7 +88,7 @@ def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArra
 
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
     """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
-    edges, steps = window_edges(grid), window_displacements(fixes, grid)
+    edges, steps = grid.window_edges, window_displacements(fixes, grid)
     turns, distance = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
     is_far = distance > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)

@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
-from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
+from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.gyro_scale import heading_logs, path_logs
 from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
@@ -102,10 +102,9 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
             needed = "turn left and right by 90° once each, with fixes"
         questions.append(OpenQuestion(what, needed, is_wrong=True))
         return GyroResult(drive.with_gyro(None), causes, tuple(questions), is_contradicted=not is_unit_known)
-    is_swing_unknown = gyro.is_above and drive.log.swing is None
     if (
         unit_cause is None
-        and not is_swing_unknown
+        and not drive.is_swing_unknown
         and frozen_share(gyro) < _MOST_FROZEN_SHARE
         and _is_unit_confirmed(drive)
     ):
@@ -131,8 +130,7 @@ def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     if is_finite.sum() < 10:
         return None
     still = standstill_windows(drive.tracks_over_tread)
-    edges = window_edges(drive.grid)
-    window = np.searchsorted(edges, gyro.t, side="right") - 1
+    window = np.searchsorted(drive.grid.window_edges, gyro.t, side="right") - 1
     inside = is_finite & (window >= 0) & (window < len(still))
     at_rest = inside.copy()
     at_rest[inside] = still[window[inside]]

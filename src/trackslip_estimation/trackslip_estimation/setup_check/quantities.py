@@ -18,6 +18,7 @@ from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
+from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import known_windows, turn_scale
 
@@ -115,17 +116,20 @@ def _misfit(drive: Drive) -> float:
 
 
 def _fit_relations(drive: Drive) -> _Relations:
-    distances = np.abs(
-        drive.tracks_over_tread @ np.array(((1.0, 1.0), (1.0, -1.0)))
-    )  # with equal signs, or opposite
     pairs = (
-        max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1)),
+        explained_distance(drive),
         explained_share(drive.turn, drive.tracks_over_tread),
         explained_share(drive.heading_turn, drive.tracks_over_tread),
         explained_share(drive.heading_turn, drive.turn[:, np.newaxis]),
     )
     weight = sum(-count / 2.0 * float(np.log1p(-share)) for share, count in pairs)
     return _Relations(weight, np.array([share for share, _ in pairs]))
+
+
+def explained_distance(drive: Drive) -> tuple[float, int]:
+    """``explained_share`` of the distance by fixes, by tracks of equal signs or of opposite ones."""
+    distances = np.abs(drive.tracks_over_tread @ np.column_stack(DISTANCES))
+    return max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
 
 
 def explained_share(observed: FloatArray, x: FloatArray) -> tuple[float, int]:
