@@ -102,43 +102,37 @@ def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
     is_missing = np.zeros(len(tracks.t), np.bool_)
     count = log.counts.measured / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
-        speeds, gaps = tracks.speeds[:, side], _readings_after_gap(tracks.t)
-        is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", speeds, gaps, count)
+        speeds = tracks.speeds[:, side]
+        is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", tracks.t, speeds, count)
     if is_missing.any():
         log = replace(log, tracks=tracks_of_speeds(tracks.t[~is_missing], tracks.speeds[~is_missing]))
     gyros, fixes = [], []
     for gyro in log.gyros:
         is_missing = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
-            is_missing |= _mark_missing(
-                missing_values,
-                gyro.name,
-                f"rate about {name}",
-                gyro.rates[:, axis],
-                _readings_after_gap(gyro.t),
-            )
+            rates = gyro.rates[:, axis]
+            is_missing |= _mark_missing(missing_values, gyro.name, f"rate about {name}", gyro.t, rates)
         gyros.append(gyro.select(~is_missing))
     for source in log.fixes:
         fixes.append(source.select(~_mark_missing_fixes(missing_values, source.name, source.places)))
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), missing_values
 
 
-def _readings_after_gap(t: FloatArray) -> BoolArray:
-    """(n,) readings after a gap: an increment is twice as large there."""
-    intervals = np.diff(t, prepend=t[:1])
-    return np.asarray(intervals > 1.5 * np.median(intervals))
-
-
 def _mark_missing(
     missing_values: list[MissingValue],
     source: str,
     column: str,
+    t: FloatArray,
     values: FloatArray,
-    after_gap: BoolArray,
     count: float = 0.0,
 ) -> BoolArray:
+    """(n,) missing readings of one column, whose value is added to ``missing_values``.
+
+    Most of them follow no gap: an increment is twice as large after a gap.
+    """
+    intervals = np.diff(t, prepend=t[:1])
     missing = find_missing_value(values, count)
-    if missing is None or after_gap[missing[1]].mean() > 0.5:
+    if missing is None or (intervals > 1.5 * np.median(intervals))[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
     missing_values.append(MissingValue(source, column, value, int(where.sum()), float(where.mean())))
