@@ -10,12 +10,9 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.log import Compass, Gyro, group_of
 
 
-def parameter(name: str, value: float | str | bool) -> str:
+def parameter(name: str, value: float | str) -> str:
     """A line for the parameters of the slip estimator, with a dotted name."""
-    text = (
-        value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
-    )
-    return f"slip_estimator.{name}={text}"
+    return f"slip_estimator.{name}={value if isinstance(value, str) else f'{value:g}'}"
 
 
 def swap_tracks() -> str:

@@ -155,9 +155,9 @@ def judge_distance(
     tracks, which distinguishes fixes in feet from a wrong unit of the speeds; or nan.
     """
     if scales is None or len(scales.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
-        needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
+        needed = "drive 10 m straight with fixes"
         return [], [OpenQuestion(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
     ratios, machine, units = DistanceRatios(scales), log.machine, speed_units(log)
     best_ratio, middle = ratios.best_ground_ratio / factor, ratios.median / factor  # ρ of the recorded speeds
