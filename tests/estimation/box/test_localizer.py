@@ -6,10 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from fixtures.box_drives import CEILING
 from fixtures.box_site import (
+    AT_ORIGIN,
     BARE,
+    BARE_AT_ORIGIN,
     BOX,
+    CEILING,
     PARAMETERS,
     PERIOD,
     SITE,
@@ -185,12 +187,10 @@ def test_sides_are_uncertain_when_the_box_is_back_in_sight():
 
 def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
     """The box comes into view at −90° beam by beam: its far end and its centre are unknown."""
-    parameters = dataclasses.replace(PARAMETERS, laser_x=0.0, laser_y=0.0, laser_yaw=0.0, initial_y=-3.0)
-    scanner = SiteScanner(dataclasses.replace(BARE, laser_x=0.0, laser_y=0.0, laser_yaw=0.0), BOX, seed=3)
+    parameters = dataclasses.replace(AT_ORIGIN, initial_y=-3.0, initial_yaw=-1.1)
     pose_at = standing(-0.33, -2.6, -1.1)
-    fix = locate(
-        BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), BOX), 1.0, scanner.scan(1.0, pose_at)
-    )
+    ranges = SiteScanner(BARE_AT_ORIGIN, BOX, seed=3).scan(1.0, pose_at)
+    fix = locate(BoxLocalizer(parameters, BOX), 1.0, ranges)
     deviation = error(fix, pose_at)
     assert deviation @ np.linalg.solve(fix.covariance, deviation) < 16.0
     assert np.linalg.eigvalsh(fix.covariance[:2, :2])[1] > 0.05**2
