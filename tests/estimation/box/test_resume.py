@@ -116,7 +116,6 @@ def test_any_other_text_is_refused(text):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("version", 1),
         ("stamp_ns", 2**63),
         ("scan_ns", -1),
         ("scan_ns", 2**63),
