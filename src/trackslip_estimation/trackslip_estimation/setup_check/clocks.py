@@ -303,8 +303,7 @@ def judge_delays(delays: list[SourceDelay]) -> tuple[list[Cause], list[OpenQuest
         return [], [OpenQuestion(what, "turn left and right by 90° once each with all sources recorded")]
     evidence = (
         f"stamps of {best} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
-        f"{'later' if value > 0.0 else 'earlier'} than "
-        "those of the other sources, which agree"
+        f"{'later' if value > 0.0 else 'earlier'} than those of the other sources, which agree"
     )
     remedy = (
         f"In the mapping of {best}: time_offset: {-value:.2f}; of a driver "

@@ -141,7 +141,7 @@ def _sign_cause(
     texts = {
         signs.SWAPPED: (
             f"the machine turns opposite to its tracks{also} with the gyro",
-            remedies.swap_tracks(),
+            remedies.SWAP_TRACKS,
         ),
         signs.BOTH: (
             f"the machine drives and turns opposite to its tracks{also} with the gyro",

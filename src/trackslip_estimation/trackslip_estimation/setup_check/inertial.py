@@ -339,9 +339,8 @@ def _judge_bias(drive: Drive, gyro: Gyro) -> Cause | None:
         return None
     bias, log_ratio, evidence = result
     remedy = (
-        "Let the unit find its bias at standstill, or subtract it: in the "
-        f"mapping 'origin: {bias:.5g}' (rad/s) at "
-        "angular_velocity_z"
+        "Let the unit find its bias at standstill, or subtract it: in the mapping "
+        f"'origin: {bias:.5g}' (rad/s) at angular_velocity_z"
     )
     evidence = f"the gyro shows {np.degrees(bias):.1f} °/s {evidence}"
     return Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)

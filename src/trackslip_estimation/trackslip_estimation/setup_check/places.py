@@ -128,11 +128,11 @@ def judge_offset(
         what = f"heading of {compass.name} off by half a turn, {_FRONT_TEXT}"
         return [], [OpenQuestion(what, _AHEAD_REQUEST, is_wrong=True)], measured
     if compass.of_poses:
+        unused = remedies.parameter(f"{group_of(compass.name)}.use_heading", "false")
         remedy = (
-            f"Add {middle:.3f} rad to the headings of {compass.name} where they "
-            "are made (box_localizer: heading of the box; "
-            f"mapping: origin {-middle:.3f} rad at yaw, {middle:.3f} rad at heading), or "
-            f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', 'false')}"
+            f"Add {middle:.3f} rad to the headings of {compass.name} where they are made (box_localizer: "
+            f"heading of the box; mapping: origin {-middle:.3f} rad at yaw, {middle:.3f} rad at heading), "
+            f"or {unused}"
         )
         if abs(abs(middle) - np.pi / 2.0) < _LEAST_OFFSET:
             remedy += "; if x of the places points north, exchange x and y and turn one sign instead"
