@@ -6,69 +6,24 @@ import dataclasses
 
 import numpy as np
 import pytest
+from fixtures.box_site import AT_ORIGIN, BARE_AT_ORIGIN, BOX, error, locate, standing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import flat_fields, from_flat
-from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
-from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.scan import Scan
-from trackslip_sim.machine.scan_model import (
-    ANGLE_INCREMENT,
-    ANGLE_MIN,
-    TIME_INCREMENT,
-    SiteParameters,
-    SiteScanner,
-)
-
-BOX = load_vehicle().box
-NODE = node_defaults("box_localizer", "site.yaml", "box_localizer.yaml")
-NAMES = {name for name, _, _ in flat_fields(BoxLocalizerParameters)}
-PARAMETERS = dataclasses.replace(
-    from_flat(BoxLocalizerParameters, {name: NODE[name] for name in NAMES}, "box_localizer.yaml"),
-    laser_x=0.0,
-    laser_y=0.0,
-    laser_yaw=0.0,
-    initial_reach=0.5,
-)
-
-
-def site(stddev, resolution=0.01):
-    return SiteParameters(
-        laser_x=0.0,
-        laser_y=0.0,
-        laser_yaw=0.0,
-        range_stddev=stddev,
-        range_resolution=resolution,
-        range_max=50.0,
-        walls=(),
-        posts=(),
-    )
+from trackslip_sim.machine.scan_model import SiteScanner
 
 
 def first_fix(pose, prediction, stddev, seed, resolution=0.01):
     """The fix of one scan of a vehicle at standstill, with the predicted pose given."""
+    x, y, yaw = prediction.tolist()
+    noise = {"range_stddev": max(stddev, 1e-4), "range_resolution": resolution}
     parameters = dataclasses.replace(
-        PARAMETERS,
-        initial_x=float(prediction[0]),
-        initial_y=float(prediction[1]),
-        initial_yaw=float(prediction[2]),
-        range_stddev=max(stddev, 1e-4),
-        range_resolution=resolution,
+        AT_ORIGIN, initial_x=x, initial_y=y, initial_yaw=yaw, initial_reach=0.5, **noise
     )
-    ranges = SiteScanner(site(stddev, resolution), BOX, seed).scan(
-        0.0, lambda times: (times * 0.0 + pose[0], times * 0.0 + pose[1], times * 0.0 + pose[2])
-    )
-    scan = Scan(0, ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
-    return BoxLocalizer(parameters, BOX).locate(scan)
-
-
-def miss(fix, pose):
-    turned = fix.yaw - pose[2]
-    return np.array([fix.x - pose[0], fix.y - pose[1], np.arctan2(np.sin(turned), np.cos(turned))])
+    site = dataclasses.replace(BARE_AT_ORIGIN, range_stddev=stddev, range_resolution=resolution)
+    return locate(BoxLocalizer(parameters, BOX), 0.0, SiteScanner(site, BOX, seed).scan(0.0, standing(*pose)))
 
 
 @pytest.mark.parametrize(
@@ -87,7 +42,7 @@ def test_errors_agree_with_their_covariance(stddev, position, heading):
         pose = np.array([distance * np.cos(bearing), distance * np.sin(bearing), yaw])
         fix = first_fix(pose, pose + 0.05 * random.standard_normal(3), stddev, seed)
         if isinstance(fix, BoxFix):
-            errors.append(miss(fix, pose))
+            errors.append(error(fix, standing(*pose)))
             nees.append(errors[-1] @ np.linalg.solve(fix.covariance, errors[-1]))
     assert len(errors) >= 299
     lower, upper = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
@@ -111,7 +66,7 @@ def test_exact_without_noise_where_two_sides_are_seen(distance, bearing, corner,
     )
     fix = first_fix(pose, pose + np.array([0.1, -0.1, 0.1]), stddev=0.0, seed=0, resolution=0.0)
     assert isinstance(fix, BoxFix)
-    assert miss(fix, pose) == pytest.approx(0.0, abs=4e-3)
+    assert error(fix, standing(*pose)) == pytest.approx(0.0, abs=4e-3)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -123,8 +78,8 @@ def test_exact_without_noise_where_two_sides_are_seen(distance, bearing, corner,
     )
 )
 def test_any_scan_gives_a_finite_fix_or_a_rejection(ranges):
-    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0), BOX)
-    outcome = localizer.locate(Scan(0, np.array(ranges), ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT))
+    localizer = BoxLocalizer(dataclasses.replace(AT_ORIGIN, initial_x=8.0, initial_reach=50.0), BOX)
+    outcome = locate(localizer, 0.0, np.array(ranges))
     if isinstance(outcome, BoxFix):
         assert np.all(np.isfinite([outcome.x, outcome.y, outcome.yaw]))
         assert np.all(np.linalg.eigvalsh(outcome.covariance) > 0.0)

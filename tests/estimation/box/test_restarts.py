@@ -20,7 +20,7 @@ LONGEST = 1.0  # s of wrong fixes at most
 HIDDEN = {"round_the_laser": 60, "behind_a_container": 55, "far_off": 120}  # s: the box is out of view
 BACK = {"round_the_laser": 93.4, "behind_a_container": 70.9, "far_off": 174.2}  # s: the box is in view again
 SITE_DRIVE = DRIVES["behind_a_container"]
-SEEN_AGAIN = BACK["behind_a_container"]
+KILLED, SEEN_AGAIN = HIDDEN["behind_a_container"], BACK["behind_a_container"]
 
 
 def restarted(drive, second, **options):
@@ -29,9 +29,14 @@ def restarted(drive, second, **options):
     return localizer, drive.scored(localizer, second + DOWN, **options)
 
 
-def without_background(second):
+def first_fixes(localizer, odometry=None):
+    """Fixes of a localizer that begins while the box is out of view."""
+    return SITE_DRIVE.scored(localizer, KILLED + DOWN, MANY, odometry)
+
+
+def without_background():
     """A localizer with the track only."""
-    state = dataclasses.replace(SITE_DRIVE.saved_state(second), background=Background.empty())
+    state = dataclasses.replace(SITE_DRIVE.saved_state(KILLED), background=Background.empty())
     return BoxLocalizer(PARAMETERS, BOX, state)
 
 
@@ -74,21 +79,21 @@ def test_background_survives_several_restarts_without_a_fix():
 
 @pytest.mark.parametrize("change", ["laser", "beams"])
 def test_background_of_another_place_or_other_beams_is_not_used(change):
-    state = SITE_DRIVE.saved_state(HIDDEN[SITE_DRIVE.name])
+    state = SITE_DRIVE.saved_state(KILLED)
     if change == "laser":
         state = dataclasses.replace(state, laser=(state.laser[0], state.laser[1], state.laser[2] + 0.01))
     else:
         background = dataclasses.replace(state.background, angle_min=state.background.angle_min + 0.002)
         state = dataclasses.replace(state, background=background)
     localizer = BoxLocalizer(PARAMETERS, BOX, state)
-    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY)
+    scored = first_fixes(localizer)
     assert longest_wrong(scored) <= LONGEST
     assert localizer.tally.by_source()["scan"][Reason.UNCERTAIN.value] > 50
 
 
 def test_localizer_without_background_gives_no_fix_until_the_box_drives():
-    localizer = without_background(HIDDEN[SITE_DRIVE.name])
-    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY)
+    localizer = without_background()
+    scored = first_fixes(localizer)
     assert longest_wrong(scored) <= LONGEST
     assert scored[0].stamp > SEEN_AGAIN + 2.0
     driven = PARAMETERS.confirmation_distance / SITE_DRIVE.speed
@@ -96,9 +101,9 @@ def test_localizer_without_background_gives_no_fix_until_the_box_drives():
 
 
 def test_certain_odometry_finds_the_box_without_background():
-    localizer = without_background(HIDDEN[SITE_DRIVE.name])
+    localizer = without_background()
     odometry = SITE_DRIVE.odometry(0.1, off=(0.1, -0.1))
-    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY, odometry)
+    scored = first_fixes(localizer, odometry)
     assert longest_wrong(scored) <= LONGEST
     assert scored[0].stamp == pytest.approx(SEEN_AGAIN, abs=1.0)
 
@@ -119,9 +124,9 @@ def test_object_placed_between_runs_is_rejected_by_the_odometry():
 
 
 def test_wrong_odometry_delays_fixes_only_until_the_machine_drives():
-    localizer = BoxLocalizer(PARAMETERS, BOX, SITE_DRIVE.saved_state(HIDDEN[SITE_DRIVE.name]))
+    localizer = BoxLocalizer(PARAMETERS, BOX, SITE_DRIVE.saved_state(KILLED))
     wrong = SITE_DRIVE.odometry(0.05, off=(6.0, 3.0))
-    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY, wrong)
+    scored = first_fixes(localizer, wrong)
     assert longest_wrong(scored) <= LONGEST
     assert SEEN_AGAIN + 2.0 < scored[0].stamp < SEEN_AGAIN + 15.0
 

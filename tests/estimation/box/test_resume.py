@@ -7,8 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from fixtures.box_drives import CEILING
-from fixtures.box_site import BOX, PARAMETERS, PERIOD, SITE, assert_near, drive, standing, turning
+from fixtures.box_site import BOX, CEILING, PARAMETERS, PERIOD, SITE, assert_near, drive, standing, turning
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -117,7 +116,6 @@ def test_any_other_text_is_refused(text):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("version", 1),
         ("stamp_ns", 2**63),
         ("scan_ns", -1),
         ("scan_ns", 2**63),

@@ -112,6 +112,14 @@ def test_stamps_ahead_that_confirm_each_other_are_another_time():
     assert all(isinstance(outcome, BoxFix) for outcome in late[CONFIRMATIONS:])
 
 
+def test_scans_further_apart_than_the_gap_give_fixes_once_their_pace_is_confirmed():
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    outcomes = [localizer.locate(scan(1.0 + 10.0 * k, seed=k)) for k in range(8)]
+    assert [isinstance(outcome, BoxFix) for outcome in outcomes] == [True, False, False] + [True] * 5
+    for outcome in outcomes[3:]:
+        assert_near(outcome, ORIGIN)
+
+
 @pytest.mark.parametrize("ranges", [np.zeros(0), np.zeros(1), np.zeros((2, 2)), np.full(20_001, 5.0)])
 def test_malformed_scan_is_refused(ranges):
     assert locate(BoxLocalizer(PARAMETERS, BOX), 1.0, ranges) == Rejection(Reason.MALFORMED)

@@ -20,7 +20,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
-from trackslip_estimation.setup_check.grid import integral
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import record_drive
@@ -30,7 +30,6 @@ from trackslip_tools.replay.inputs import InputStream
 
 BAGS = Path(__file__).parents[3] / "bags"
 VEHICLES = ("excavator_20t", "pc05", "pc05_cab")  # vehicles with hydraulics
-Factory = pytest.TempPathFactory
 RUNS = sorted(path.parent.name for path in BAGS.glob("*/*.mcap"))
 REDUCED = (
     "tracks swapped",
@@ -46,10 +45,14 @@ LEAST_SHARE = 0.95  # of mistakes for which a log has enough motion
 
 @cache
 def robot(name: str) -> Log:
-    table = np.genfromtxt(FOLDER / FILES[name.removesuffix("_gnss")], delimiter=",", names=True)
-    return {"marmotte": _marmotte, "warthog": _warthog, "mower": _mower, "mower_gnss": _mower_gnss}[name](
-        table
-    )
+    """The log of a robot; the test is skipped without it."""
+    file = name.removesuffix("_gnss")
+    if not is_present(file):
+        pytest.skip("the log is not in ../shared/data")
+    table = np.genfromtxt(FOLDER / FILES[file], delimiter=",", names=True)
+    if file == "mower":
+        return _mower(table, receiver=name == "mower_gnss")
+    return _marmotte(table) if file == "marmotte" else _warthog(table)
 
 
 @cache
@@ -57,7 +60,6 @@ def recorded(name: str) -> Log:
     return log_of_bag(BAGS / name)
 
 
-@cache
 def emulated(vehicle: str, folder: Path) -> Log:
     """A field trial of some minutes, with the emulated sensors of the vehicle."""
     p = load_emulator_parameters({"vehicle": vehicle, "scenario": "field_trial", "seed": 3})
@@ -82,8 +84,7 @@ def _first_rows(index: FloatArray) -> FloatArray:
 
 
 def _tracks(t: FloatArray, left: FloatArray, right: FloatArray) -> Tracks:
-    speeds = np.column_stack((left, right))
-    return Tracks(t, speeds, integral(t, speeds))
+    return tracks_of_speeds(t, np.column_stack((left, right)))
 
 
 def _one_axis(t: FloatArray, rate: FloatArray, force: FloatArray | None = None) -> Gyro:
@@ -117,7 +118,7 @@ def _warthog(log: FloatArray) -> Log:
     )
 
 
-def _mower(log: FloatArray, receiver: bool = False) -> Log:
+def _mower(log: FloatArray, *, receiver: bool) -> Log:
     t, v, rate, radius, tread = log["t"], log["v"], log["gz"], 0.2, 1.0
     tracks = _tracks(t, (v - rate * tread / 2.0) / radius, (v + rate * tread / 2.0) / radius)
     new = _first_rows(log["gnss_index"]) if receiver else np.arange(len(t))
@@ -125,16 +126,6 @@ def _mower(log: FloatArray, receiver: bool = False) -> Log:
     places = np.column_stack([log[name] for name in names])[new]
     fixes = Fixes("gnss_pose", t[new], places, np.full(len(new), 0.9 if receiver else 0.02))
     return Log(Machine(radius, tread, 0.5), tracks, (_one_axis(t, rate),), (fixes,))
-
-
-def _mower_gnss(log: FloatArray) -> Log:
-    return _mower(log, receiver=True)
-
-
-def _present(name: str) -> Log:
-    if not is_present(name.removesuffix("_gnss")):
-        pytest.skip("the log is not in ../shared/data")
-    return robot(name)
 
 
 ROBOTS = ("marmotte", "warthog", "mower", "mower_gnss")
@@ -160,11 +151,11 @@ def _outcome(log: Log, name: str) -> str:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_cause_is_found_in_a_healthy_log_of_a_robot(name: str) -> None:
-    assert check(_present(name)).causes == ()
+    assert check(robot(name)).causes == ()
 
 
 def test_a_reference_that_stalls_and_leaps_is_not_called_late() -> None:
-    log = piece(_present("warthog"), 60.0, 180.0)
+    log = piece(robot("warthog"), 60.0, 180.0)
     assert check(log).causes == ()
     assert check(VARIANTS["no heading"](log)).causes == ()
 
@@ -176,7 +167,7 @@ def test_no_cause_is_found_in_a_recorded_run(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["marmotte", "warthog"])
 def test_mistakes_in_a_log_of_a_robot_are_named(name: str) -> None:
-    log = _present(name)
+    log = robot(name)
     assert {mistake: _outcome(log, mistake) for mistake in REDUCED} == dict.fromkeys(REDUCED, "named")
 
 
@@ -207,7 +198,7 @@ def assert_most_named(log: Log, outcomes: dict[str, str]) -> None:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_cause_is_found_in_a_healthy_variant_of_a_piece(name: str, span: tuple[float, float]) -> None:
     start = HEALTHY_FROM.get(name, 0.0)
-    log = piece(_present(name), start + span[0], start + span[1])
+    log = piece(robot(name), start + span[0], start + span[1])
     results = {variant: check(change(log)) for variant, change in VARIANTS.items()}
     assert {variant: result.causes for variant, result in results.items() if result.causes} == {}
 
@@ -215,7 +206,7 @@ def test_no_cause_is_found_in_a_healthy_variant_of_a_piece(name: str, span: tupl
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_mistake_in_a_log_of_a_robot_is_called_another(name: str) -> None:
-    outcomes = _check_matrix(name, _present(name))
+    outcomes = _check_matrix(name, robot(name))
     if name != "mower_gnss":  # errors of metres hide delays and gears
         assert_most_named(robot(name), outcomes)
 
@@ -228,8 +219,8 @@ def test_no_mistake_in_a_recorded_run_is_called_another(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("vehicle", VEHICLES)
-def test_no_mistake_in_an_emulated_drive_is_called_another(vehicle: str, tmp_path_factory: Factory) -> None:
-    log = emulated(vehicle, tmp_path_factory.getbasetemp())
+def test_no_mistake_in_an_emulated_drive_is_called_another(vehicle: str, tmp_path: Path) -> None:
+    log = emulated(vehicle, tmp_path)
     assert check(log).causes == ()
     assert_most_named(log, _check_matrix(vehicle, log))
 
@@ -237,7 +228,7 @@ def test_no_mistake_in_an_emulated_drive_is_called_another(vehicle: str, tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["marmotte", "warthog", "mower"])
 def test_of_two_mistakes_on_a_robot_one_is_named_and_nothing_else_in_four_of_five(name: str) -> None:
-    log, random = _present(name), np.random.default_rng(0)
+    log, random = robot(name), np.random.default_rng(0)
     observable = sorted(m for m in MISTAKES.keys() - AMBIGUOUS if holds(log, MISTAKES[m].needs))
     pairs = [[MISTAKES[m] for m in random.choice(observable, 2, replace=False)] for _ in range(60)]
     named = 0

@@ -4,12 +4,12 @@
 
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from fixtures.setup_drives import make_drive
+from fixtures.setup_mistakes import change_headings
 
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.health import OK, WARN
@@ -84,10 +84,8 @@ def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> 
 def test_mistake_that_is_one_of_several_is_reported_from_the_second_check(
     parameters: SlipEstimatorParameters,
 ) -> None:
-    check, drive = RunningCheck(parameters), make_drive()
-    frozen = replace(
-        drive, compasses=(replace(drive.compasses[0], headings=0.0 * drive.compasses[0].headings),)
-    )
+    check = RunningCheck(parameters)
+    frozen = change_headings(lambda headings: 0.0 * headings)(make_drive())
     stream = measurements(frozen, 0.0, (1.0, 1.0), 1.0)
     assert causes_after(check, stream, NAMED_S) == set()
     assert check.result.is_plausible
@@ -150,9 +148,9 @@ def test_restart_drops_the_result_of_a_running_evaluation(
         check.restart(parameters)
         return open_result()
 
-    monkeypatch.setattr(check, "_check_columns", restart_meanwhile)
+    monkeypatch.setattr(check, "_check_latest", restart_meanwhile)
     assert check.evaluate() == check.result == Result()
-    monkeypatch.setattr(check, "_check_columns", open_result)
+    monkeypatch.setattr(check, "_check_latest", open_result)
     assert not check.evaluate().open_questions
 
 
@@ -160,7 +158,7 @@ def test_restart_forgets_the_open_question_of_the_previous_evaluation(
     parameters: SlipEstimatorParameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     check = RunningCheck(parameters)
-    monkeypatch.setattr(check, "_check_columns", open_result)
+    monkeypatch.setattr(check, "_check_latest", open_result)
     check.evaluate()
     check.restart(parameters)
     assert not check.evaluate().open_questions

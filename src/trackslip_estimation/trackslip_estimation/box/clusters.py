@@ -41,14 +41,14 @@ class Beams:
     right: tuple[float, float]
     left: tuple[float, float]
 
-    def points(self) -> FloatArray:
-        """Return the points (N, 2) in the laser frame, m."""
-        return _cartesian_points(self.ranges, self.angles)
-
     @cached_property
     def directions(self) -> FloatArray:
         """As ``directions``."""
         return directions(self.angles)
+
+    def extent(self) -> float:
+        """Return the distance of the first point from the last, m."""
+        return _distance_between(self.ranges[0], self.ranges[-1], self.angles[-1] - self.angles[0])
 
 
 def directions(angles: FloatArray) -> FloatArray:
@@ -130,7 +130,3 @@ def object_beams(
 def _distance_between(one: float, other: float, between: float) -> float:
     """Return the distance of two points, from their ranges and the angle between them."""
     return math.sqrt((one - other) ** 2 + one * other * (2.0 * math.sin(0.5 * between)) ** 2)
-
-
-def _cartesian_points(ranges: FloatArray, angles: FloatArray) -> FloatArray:
-    return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])

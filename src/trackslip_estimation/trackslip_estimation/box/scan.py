@@ -32,11 +32,9 @@ class Scan:
 
     def to_counter_clockwise(self) -> "Scan":
         """Return the scan with its beams counter-clockwise: reversed if ``angle_increment`` < 0."""
-        if not self.angle_increment < 0.0 or self.ranges.ndim != 1 or self.ranges.size > MOST_BEAMS:
-            return self
         steps = self.ranges.size - 1
         last_ns = steps * self.time_increment * 1e9
-        if not math.isfinite(last_ns):
+        if not self.angle_increment < 0.0 or not math.isfinite(last_ns):
             return self
         return Scan(
             self.stamp_ns + round(last_ns),

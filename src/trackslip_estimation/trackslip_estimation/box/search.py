@@ -75,6 +75,9 @@ class BoxSearch:
         self._frames = Frames(p, box)
         self.box = Rectangle(box.length, box.width)
         self.range_stddev = float(np.hypot(p.range_stddev, p.range_resolution / np.sqrt(12.0)))
+        self._margin = 3.0 * self.range_stddev  # largest error of a range, m
+        self._range_margin = float(3.0 * np.sqrt(2.0) * self.range_stddev)  # of the difference of two, m
+        self._largest_extent = self.box.diagonal + self._margin
         self.background = Background.empty()
 
     def find_candidates(
@@ -84,7 +87,6 @@ class BoxSearch:
 
         The background is cut off: a post beside the box would lengthen or rotate it.
         """
-        extent = self.box.diagonal + 3.0 * self.range_stddev
         is_background = self.background.matching_beams(ranges, angles, self._range_margin)
         parts = [
             part
@@ -94,7 +96,7 @@ class BoxSearch:
         near = self._beams_near(ranges, angles, expected)
         candidates: list[Candidate] = []
         reasons = [Reason.NOTHING_NEAR]
-        for indices in rejoin_parts(parts, ranges, angles, extent) + parts:
+        for indices in rejoin_parts(parts, ranges, angles, self._largest_extent) + parts:
             if not near[indices].any() or any(
                 np.isin(indices, other.beams.indices).any() for other in candidates
             ):
@@ -109,26 +111,20 @@ class BoxSearch:
                 reasons.append(outcome)
         return candidates or max(reasons, key=list(Reason).index)
 
-    @property
-    def _range_margin(self) -> float:
-        """Largest difference of two ranges of one object, m."""
-        return float(3.0 * np.sqrt(2.0) * self.range_stddev)
-
     def _evaluate_object(
         self, indices: IndexArray, expected: Expectation, ranges: FloatArray, angles: FloatArray
     ) -> Candidate | Reason:
         """Return the candidate if an object can be the box, else why not."""
         if len(indices) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
-        beams = object_beams(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
-        points = beams.points()
-        if np.linalg.norm(points[-1] - points[0]) > self.box.diagonal + 3.0 * self.range_stddev:
+        beams = object_beams(indices, ranges, angles, self.box.diagonal, self._margin)
+        if beams.extent() > self._largest_extent:
             return Reason.SIZE
         if beams.ranges.min() < 0.5 * self.box.diagonal:  # then the laser could be within the box fitted
             return Reason.TOO_NEAR
         fits = self._fit_headings(beams, expected)
         best = min(fits, key=lambda fit: fit.chi2)
-        through = count_beams_through(best.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
+        through = count_beams_through(best.pose, self.box, ranges, angles, self._margin)
         is_explained = self._is_explained(best, self._parameters.fit_probability)
         if not is_explained or through > self._parameters.seen_through * len(beams.ranges):
             return Reason.SHAPE

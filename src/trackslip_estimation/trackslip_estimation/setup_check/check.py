@@ -17,7 +17,6 @@ from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
 from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.faults import MissingValue, remove_missing
 from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
     LEAST_ODDS,
@@ -32,6 +31,7 @@ from trackslip_estimation.setup_check.grid import WINDOW, make_grid, window_sums
 from trackslip_estimation.setup_check.gyro_scale import judge_scale
 from trackslip_estimation.setup_check.heading import heading_unit
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
+from trackslip_estimation.setup_check.missing_values import MissingValue, remove_missing
 from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns, turn_scale

@@ -14,11 +14,10 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.delay import LARGEST_DELAY, correlate_rates
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.faults import time_factor
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import path_delay_logs
-from trackslip_estimation.setup_check.grid import continuous_angles
-from trackslip_estimation.setup_check.log import Fixes, Log, Tracks
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
+from trackslip_estimation.setup_check.log import Fixes, Log
 from trackslip_estimation.setup_check.path import thin_fixes
 
 LEAST_DELAY = 0.15  # s; shorter ones may come from the ground's response, sensor filters or held values
@@ -31,8 +30,15 @@ TRACKS = "sprockets"
 _LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings per stamp, s
 _PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive per delay; numbers of such parts
 _LARGEST_PART_DELAY = 0.8 * LARGEST_DELAY  # s; beyond it the next part may show that of another turn, or none
-_NAMES = {1e-9: "ns, declared s", 1e-6: "µs, declared s", 1e-3: "ms, declared s"}
-_NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
+_PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
+_UNITS = {  # factor that gives s: true and declared unit
+    1e-9: "ns, declared s",
+    1e-6: "µs, declared s",
+    1e-3: "ms, declared s",
+    1e3: "s, declared ms",
+    1e6: "s, declared µs",
+    1e9: "s, declared ns",
+}
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
     A source in another unit than the tracks is left out: the origin of its stamps is unknown.
     """
     series = _source_stamps(log)
-    factors = {name: time_factor(t, kind) for name, kind, t in series}
+    factors = {name: _time_factor(t, *_PERIODS[kind]) for name, kind, t in series}
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
     distinct_factors = set(factors.values())
@@ -73,11 +79,23 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
         period = float(np.median(np.diff(t)))
         subject = "all sources" if is_same_unit else name
         evidence = (
-            f"stamps of {subject} are {period:.3g} s apart; as {_NAMES[factor]}, {period * factor:.3g} s"
+            f"stamps of {subject} are {period:.3g} s apart; as {_UNITS[factor]}, {period * factor:.3g} s"
         )
-        remedy = f"State the unit in the mapping: time: {{column: …, unit: {_NAMES[factor].split(',')[0]}}}"
+        remedy = f"State the unit in the mapping: time: {{column: …, unit: {_UNITS[factor].split(',')[0]}}}"
         causes.append(Cause("time_unit", "all" if is_same_unit else name, evidence, odds_of(12.0), remedy))
     return _scale_stamps(log, factors), causes
+
+
+def _time_factor(t: FloatArray, low: float, high: float) -> float:
+    """Factor that brings the period of stamps (n,) into ``low`` to ``high``, s; 1 without need, or none."""
+    if len(t) < _LEAST_STAMPS:
+        return 1.0
+    period = float(np.median(np.diff(t)))
+    if low <= period <= high or period <= 0.0:
+        return 1.0
+    usual = float(np.sqrt(low * high))
+    fitting = [factor for factor in _UNITS if low <= period * factor <= high]
+    return min(fitting, key=lambda factor: abs(np.log(period * factor / usual)), default=1.0)
 
 
 def _source_stamps(log: Log) -> list[tuple[str, str, FloatArray]]:
@@ -112,16 +130,15 @@ def _scale_stamps(log: Log, factors: dict[str, float]) -> Log:
     def scale(t: FloatArray) -> FloatArray:
         return start + (t - start) * common
 
-    t = scale(log.tracks.t)
-    angles, speeds = log.tracks.angles, log.tracks.speeds
-    if common != 1.0 and np.isfinite(speeds).all():
-        angles = continuous_angles(t, speeds, np.full(speeds.shape, np.nan))
+    tracks = replace(log.tracks, t=scale(log.tracks.t))
+    if common != 1.0 and np.isfinite(tracks.speeds).all():
+        tracks = tracks_of_speeds(tracks.t, tracks.speeds)
     similar = {name for name, factor in factors.items() if factor == common}
     gyros = tuple(replace(g, t=scale(g.t)) for g in log.gyros if g.name in similar)
     fixes = tuple(replace(f, t=scale(f.t)) for f in log.fixes if f.name in similar)
     same_unit = similar | ({c.name for c in log.compasses} - factors.keys())
     compasses = tuple(replace(c, t=scale(c.t)) for c in log.compasses if c.name in same_unit)
-    return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
+    return replace(log, tracks=tracks, gyros=gyros, fixes=fixes, compasses=compasses)
 
 
 def measure_delays(drive: Drive) -> list[SourceDelay]:
@@ -286,8 +303,7 @@ def judge_delays(delays: list[SourceDelay]) -> tuple[list[Cause], list[OpenQuest
         return [], [OpenQuestion(what, "turn left and right by 90° once each with all sources recorded")]
     evidence = (
         f"stamps of {best} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
-        f"{'later' if value > 0.0 else 'earlier'} than "
-        "those of the other sources, which agree"
+        f"{'later' if value > 0.0 else 'earlier'} than those of the other sources, which agree"
     )
     remedy = (
         f"In the mapping of {best}: time_offset: {-value:.2f}; of a driver "

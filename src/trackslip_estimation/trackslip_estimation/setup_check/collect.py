@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.setup_check.count_angle import angle_of_count
-from trackslip_estimation.setup_check.grid import continuous_angles
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
@@ -128,8 +128,10 @@ def _make_log(
     poses, stated, headings, angles = p.poses(), p.gyros(), p.compasses(), p.swing_encoders()
     for (kind, name), (t, values) in ready.items():
         if kind == SPROCKETS:
-            tracks = Tracks(t, values[:, :2], continuous_angles(t, values[:, :2], values[:, 2:4]))
-            counts = Counts(angle_of_count(t, values[:, :2], values[:, 2:4]), p.encoder_resolution)
+            speeds, positions = values[:, :2], values[:, 2:4]
+            has_positions = bool(np.isfinite(positions).all())
+            tracks = Tracks(t, speeds, positions) if has_positions else tracks_of_speeds(t, speeds)
+            counts = Counts(angle_of_count(t, speeds, positions), p.encoder_resolution)
         elif kind == YAW_RATE and name in stated:
             imu = stated[name]
             rates = values[:, :3].copy()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.delay import LARGEST_DELAY
+from trackslip_estimation.setup_check.delay import LARGEST_DELAY, maximum_between_steps
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.log import Fixes, Gyro, Log, Tracks
 
@@ -120,9 +120,8 @@ def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     gain -= PRIOR + np.log(len(shifts))
     if min(gain, over_second) < LEAST_LOG:
         return None
-    curvature = r[best - 1] - 2.0 * r[best] + r[best + 1]
-    part = 0.5 * (r[best - 1] - r[best + 1]) / curvature if curvature < 0.0 else 0.0
-    return _Shift(float(shifts[best] + part * _STEP), float(r[best]), without, float(gain))
+    shift = float(shifts[best]) + maximum_between_steps(r, best) * _STEP
+    return _Shift(shift, float(r[best]), without, float(gain))
 
 
 def _window_speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:

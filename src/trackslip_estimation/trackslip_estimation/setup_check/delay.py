@@ -75,10 +75,12 @@ def _correlation_peak(
         return None
     correlation = cross / scale
     k = int(np.argmax(correlation))
-    top = float(correlation[k])
-    if k in (0, len(shifts) - 1):
-        return float(shifts[k]) * cell, top
-    before, after = float(correlation[k - 1]), float(correlation[k + 1])
+    part = 0.0 if k in (0, len(shifts) - 1) else maximum_between_steps(correlation, k)
+    return (float(shifts[k]) + part) * cell, float(correlation[k])
+
+
+def maximum_between_steps(values: FloatArray, k: int) -> float:
+    """Offset, steps, from the largest of the values (n,), at ``k``, to the top of the parabola through it."""
+    before, top, after = values[k - 1 : k + 2].tolist()
     curvature = before - 2.0 * top + after
-    part = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
-    return (float(shifts[k]) + part) * cell, top
+    return float(0.5 * (before - after) / curvature) if curvature < 0.0 else 0.0

@@ -2,19 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Causes and evidence of wrong signs, if the drive holds enough turns and distance to decide them."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import inertial, remedies, signs
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.evidence import course_alternatives, direction_log, gather_evidence
+from trackslip_estimation.setup_check.evidence import (
+    course_alternatives,
+    gather_evidence,
+    heading_alternatives,
+)
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
-from trackslip_estimation.setup_check.heading import Courses
+from trackslip_estimation.setup_check.heading import direction_log
 from trackslip_estimation.setup_check.log import Gyro
-from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
+from trackslip_estimation.setup_check.signs import Decision, Evidence, decide
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
 
 _CLEAR_LOG_ODDS = float(np.log(1e4))  # ln odds at which fewer than three turns suffice
@@ -29,28 +32,25 @@ _TURN_REQUEST = "turn left and right by 90° once each, and drive 10 m straight"
 class Directions:
     """Corrections of the signs, and the causes they undo."""
 
-    assignment: Assignment
-    gyro: float
-    is_mirrored: bool
-    heading: float
-    mirror: int = 0  # 0: x and y swapped, 1: y negated, 2: x negated
-    convention: int = 0  # 0: from north, clockwise; 1: clockwise
-    is_decided: bool = True
+    decision: Decision
+    mirror: int  # 0: x and y swapped, 1: y negated, 2: x negated
+    convention: int  # 0: from north, clockwise; 1: clockwise
+    is_decided: bool
     causes: tuple[Cause, ...] = ()
-    undetermined: tuple[OpenQuestion, ...] = field(default=())
+    undetermined: tuple[OpenQuestion, ...] = ()
 
     def correct_signs(self, drive: Drive) -> Drive:
         """The drive without these mistakes."""
-        log, gyro, fixes, compass = drive.log, drive.gyro, drive.fixes, drive.compass
+        decision, gyro, fixes, compass = self.decision, drive.gyro, drive.fixes, drive.compass
         if gyro is not None:
-            gyro = replace(gyro, rates=gyro.rates * np.array((1.0, 1.0, self.gyro)))
-        if fixes is not None and self.is_mirrored:
+            gyro = replace(gyro, rates=gyro.rates * np.array((1.0, 1.0, decision.gyro)))
+        if fixes is not None and decision.is_mirrored:
             x, y = fixes.places.T
             fixes = replace(fixes, places=np.column_stack(((y, x), (x, -y), (-x, y))[self.mirror]))
-        if compass is not None and self.heading < 0.0:
+        if compass is not None and decision.heading < 0.0:
             headings = compass.headings
             compass = replace(compass, headings=-headings if self.convention else np.pi / 2.0 - headings)
-        return Drive.from_sources(log.with_tracks(self.assignment.matrix), gyro, fixes, compass)
+        return Drive.from_sources(drive.log.with_tracks(decision.assignment.matrix), gyro, fixes, compass)
 
 
 def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
@@ -59,11 +59,9 @@ def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
     decision = decide(evidence)
     mirror, convention = _best_conventions(drive, decision)
     needs = _missing_motion(drive, decision)
-    signed = decision.assignment, decision.gyro, decision.is_mirrored, decision.heading
-    directions = Directions(*signed, mirror, convention)
-    likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     if needs:
-        return replace(directions, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
+        return Directions(decision, mirror, convention, decision.any_odds < 0.0, undetermined=tuple(needs))
+    likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     causes = [_sign_cause(name, log, drive, gyro, mirror, convention) for name, log in likely.items()]
     if is_upside_down and signs.GYRO in likely and gyro is not None:
         causes = [c for c in causes if c.cause != signs.GYRO]
@@ -71,7 +69,7 @@ def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
     questions = []
     is_open = decision.any_odds > 0.0 and not likely
     if is_open:
-        sets = [_decided_causes(decision), *decision.rivals]
+        sets = [decision.causes, *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
         questions.append(OpenQuestion(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
     untested = set(decision.untested) if not likely and not is_open else set()
@@ -80,7 +78,7 @@ def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
         questions.append(
             OpenQuestion(what, _TURN_REQUEST if untested != {signs.BOTH} else _missing_sensor(evidence))
         )
-    return replace(directions, is_decided=not is_open, causes=tuple(causes), undetermined=tuple(questions))
+    return Directions(decision, mirror, convention, not is_open, tuple(causes), tuple(questions))
 
 
 def _missing_motion(drive: Drive, decision: Decision) -> list[OpenQuestion]:
@@ -103,13 +101,6 @@ def _missing_motion(drive: Drive, decision: Decision) -> list[OpenQuestion]:
     return needs
 
 
-def _decided_causes(decision: Decision) -> frozenset[str]:
-    others = {signs.GYRO} if decision.gyro < 0.0 else set()
-    others |= {signs.MIRROR} if decision.is_mirrored else set()
-    others |= {signs.HEADING} if decision.heading < 0.0 else set()
-    return decision.assignment.causes | others
-
-
 def _missing_sensor(evidence: Evidence) -> str:
     if not evidence.has_map:
         return (
@@ -129,17 +120,12 @@ def _best_conventions(drive: Drive, decision: Decision) -> tuple[int, int]:
     distances = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
     reverse = np.where(distances @ decision.assignment.distance < 0.0, np.pi, 0.0)
     courses = course_alternatives(steps, is_mirrored=decision.is_mirrored)
-    headings = _headings_by_convention(steps, decision.heading, 2.0 * drive.compass.offset)
+    is_inverted = decision.heading < 0.0
+    twice_offset = 2.0 * drive.compass.offset if is_inverted else 0.0  # the offset that was taken off stays
+    headings = [h - twice_offset for h in heading_alternatives(steps, is_inverted=is_inverted)]
     logs = np.array([[direction_log(c - h - reverse) for h in headings] for c in courses])
     mirror, convention = np.unravel_index(int(np.argmax(logs)), logs.shape)
     return int(mirror), int(convention)
-
-
-def _headings_by_convention(steps: Courses, sense: float, twice_offset: float) -> list[FloatArray]:
-    """(n,) headings as stated, or in each other convention; the offset that was taken off stays the same."""
-    if sense > 0.0:
-        return [steps.headings]
-    return [np.pi / 2.0 - steps.headings - twice_offset, -steps.headings - twice_offset]
 
 
 def _sign_cause(
@@ -155,7 +141,7 @@ def _sign_cause(
     texts = {
         signs.SWAPPED: (
             f"the machine turns opposite to its tracks{also} with the gyro",
-            remedies.swap_tracks(),
+            remedies.SWAP_TRACKS,
         ),
         signs.BOTH: (
             f"the machine drives and turns opposite to its tracks{also} with the gyro",

@@ -18,7 +18,7 @@ from trackslip_estimation.setup_check.heading import (
 )
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine
 from trackslip_estimation.setup_check.path import Path, PathFits, compare_paths, dead_reckoning, thin_fixes
-from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, median_bias
+from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, known_windows, median_bias
 
 USUAL_EFFICIENCY = 0.7  # κ, turning efficiency, where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
@@ -60,6 +60,11 @@ class Drive:
         return next(iter(self.log.gyros), None)
 
     @property
+    def is_swing_unknown(self) -> bool:
+        """Whether the gyro is on an upper structure whose swing was not recorded."""
+        return self.gyro is not None and self.gyro.is_above and self.log.swing is None
+
+    @property
     def fixes(self) -> Fixes | None:
         """The source of positions, or None."""
         return next(iter(self.log.fixes), None)
@@ -90,8 +95,7 @@ class Drive:
     @cached_property
     def unbiased_turn(self) -> FloatArray:
         """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
-        known = np.isfinite(self.turn) & np.isfinite(self.tracks_over_tread).all(axis=1)
-        return self.turn - median_bias(self.turn[known], self.tracks_over_tread[known]) * WINDOW
+        return self.turn - median_bias(*known_windows(self.turn, self.tracks_over_tread)) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:
@@ -102,7 +106,7 @@ class Drive:
     @cached_property
     def heading_turn(self) -> FloatArray:
         """(w,) turn of the stated headings, rad."""
-        return np.diff(self.headings[:: max(round(WINDOW / self.grid.cell), 1)])
+        return np.diff(self.headings[:: self.grid.cells_per_window])
 
     @cached_property
     def fix_distances(self) -> FloatArray:

@@ -10,7 +10,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
-from trackslip_estimation.setup_check.heading import Courses, any_direction_log, course_logs, turn_logs
+from trackslip_estimation.setup_check.heading import Courses, direction_log, turn_logs
 from trackslip_estimation.setup_check.signs import ASSIGNMENTS, DISTANCES, Evidence
 from trackslip_estimation.setup_check.turning import fit_turns
 
@@ -89,11 +89,6 @@ def _course_logs(steps: Courses, reverse: FloatArray) -> FloatArray:
             for heading in heading_alternatives(steps, is_inverted=bool(h))
         )
     return logs
-
-
-def direction_log(differences: FloatArray) -> float:
-    """Ln likelihood of course less heading: around 0, or, with the prior of a mistake, around any angle."""
-    return float(np.logaddexp(course_logs(differences)[0], any_direction_log(differences) - PRIOR))
 
 
 def course_alternatives(steps: Courses, *, is_mirrored: bool) -> list[FloatArray]:

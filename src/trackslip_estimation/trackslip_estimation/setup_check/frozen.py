@@ -37,16 +37,13 @@ def _judge_span(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | N
     if not is_by_heading and _unexplained_turn(by_tracks, gyro_turn) * _LEAST_EFFICIENCY < _LEAST_TURN:
         return None
     also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
-    return Cause(
-        "gyro_frozen",
-        gyro.name,
-        f"the gyro shows {value:.4g} rad/s without change for "
-        f"{end - begin:.0f} s, while the tracks turn "
-        f"{np.degrees(np.nansum(np.abs(by_tracks))):.0f}°{also}",
-        odds_of(20.0),
-        "Check supply and cable of the unit, or leave it out: "
-        f"{remedies.parameter('yaw_rate_sources', '[]')}",
+    evidence = (
+        f"the gyro shows {value:.4g} rad/s without change for {end - begin:.0f} s, while the tracks turn "
+        f"{np.degrees(np.nansum(np.abs(by_tracks))):.0f}°{also}"
     )
+    without = remedies.parameter("yaw_rate_sources", "[]")
+    remedy = f"Check supply and cable of the unit, or leave it out: {without}"
+    return Cause("gyro_frozen", gyro.name, evidence, odds_of(20.0), remedy)
 
 
 def _unexplained_turn(turns: FloatArray, gyro_turns: FloatArray) -> float:

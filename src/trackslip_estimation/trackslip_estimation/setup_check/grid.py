@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
-from trackslip_estimation.setup_check.log import Gyro, Log
+from trackslip_estimation.setup_check.log import Gyro, Log, Tracks
 
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
@@ -30,6 +30,16 @@ class Grid:
     def cell(self) -> float:
         """Length of a cell, s."""
         return float(self.edges[1] - self.edges[0])
+
+    @property
+    def window_edges(self) -> FloatArray:
+        """(w + 1,) edges of the windows of ``WINDOW`` s, s."""
+        return self.edges[:: self.cells_per_window]
+
+    @property
+    def cells_per_window(self) -> int:
+        """Number of cells in a window."""
+        return max(round(WINDOW / self.cell), 1)
 
 
 def make_grid(log: Log, gyro: Gyro | None) -> Grid | None:
@@ -65,11 +75,9 @@ def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(means * steps, axis=0)))
 
 
-def continuous_angles(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
-    """(n, 2) continuous angles: positions (n, 2) where all are numbers, else the integral of the speeds."""
-    if len(t) and np.isfinite(positions).all():
-        return positions
-    return integral(t, speeds)
+def tracks_of_speeds(t: FloatArray, speeds: FloatArray) -> Tracks:
+    """The sprockets with speeds (n, 2), rad/s, and their integral as angles."""
+    return Tracks(t, speeds, integral(t, speeds))
 
 
 def increments(t: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
@@ -89,13 +97,7 @@ def covered_cells(t: FloatArray, edges: FloatArray) -> BoolArray:
 
 def window_sums(grid: Grid, values: FloatArray) -> FloatArray:
     """(w, …) sums of (m, …) values over windows of ``WINDOW`` s."""
-    size = max(round(WINDOW / grid.cell), 1)
+    size = grid.cells_per_window
     count = len(values) // size
     shaped = values[: count * size].reshape(count, size, *values.shape[1:])
     return np.asarray(shaped.sum(axis=1))
-
-
-def window_edges(grid: Grid) -> FloatArray:
-    """(w + 1,) edges of the windows, s."""
-    size = max(round(WINDOW / grid.cell), 1)
-    return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
+from trackslip_estimation.setup_check.finding import PRIOR
+from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_sums
 from trackslip_estimation.setup_check.log import Compass, Fixes
 from trackslip_estimation.setup_check.turning import log_mixture_density
 
@@ -62,7 +63,7 @@ def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
 
 def window_displacements(fixes: Fixes, grid: Grid) -> FloatArray:
     """(w, 2) displacements in windows, m; nan where there is no fix."""
-    return np.diff(place_at(fixes, window_edges(grid)), axis=0)
+    return np.diff(place_at(fixes, grid.window_edges), axis=0)
 
 
 def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArray:
@@ -87,7 +88,7 @@ def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArra
 
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
     """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
-    edges, steps = window_edges(grid), window_displacements(fixes, grid)
+    edges, steps = grid.window_edges, window_displacements(fixes, grid)
     turns, distance = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
     is_far = distance > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
@@ -95,32 +96,23 @@ def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compas
     return Courses(np.arctan2(steps[index, 1], steps[index, 0]), middle[index], index)
 
 
-def course_logs(differences: FloatArray) -> FloatArray:
-    """(2,) ln likelihood that directions (n,) lie around 0, or around π; rad."""
-    if not len(differences):
-        return np.zeros(2)
-    width = 2.0 * np.pi
-    logs = []
-    for middle in (0.0, np.pi):
-        residuals = wrap_angles(differences - middle)
-        logs.append(
-            float(log_mixture_density(residuals, np.full(len(residuals), _COURSE_STDDEV**2), width).sum())
-        )
-    return np.array(logs)
+def direction_log(differences: FloatArray) -> float:
+    """Ln likelihood of course less heading (n,), rad: around 0, or, with the prior of a mistake, elsewhere.
+
+    The other direction has a uniform prior.
+    """
+    elsewhere = _log_around(mean_direction(differences), differences)
+    elsewhere -= float(
+        np.log(2.0 * np.pi * np.sqrt(len(differences)) / _COURSE_STDDEV / np.sqrt(2.0 * np.pi))
+    )
+    return float(np.logaddexp(_log_around(0.0, differences), elsewhere - PRIOR))
 
 
-def any_direction_log(differences: FloatArray) -> float:
-    """Ln likelihood that directions lie around an unknown direction, with a uniform prior."""
-    if not len(differences):
-        return 0.0
-    middle = mean_direction(differences)
+def _log_around(middle: float, differences: FloatArray) -> float:
+    """Ln likelihood that directions (n,), rad, lie around ``middle``."""
     residuals = wrap_angles(differences - middle)
-    fitted = float(
-        log_mixture_density(residuals, np.full(len(residuals), _COURSE_STDDEV**2), 2.0 * np.pi).sum()
-    )
-    return fitted - float(
-        np.log(2.0 * np.pi * np.sqrt(len(residuals)) / _COURSE_STDDEV / np.sqrt(2.0 * np.pi))
-    )
+    variance = np.full(len(residuals), _COURSE_STDDEV**2)
+    return float(log_mixture_density(residuals, variance, 2.0 * np.pi).sum())
 
 
 def mean_direction(angles: FloatArray) -> float:

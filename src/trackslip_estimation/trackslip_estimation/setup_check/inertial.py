@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
-from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
+from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.gyro_scale import heading_logs, path_logs
 from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
@@ -22,6 +22,8 @@ from trackslip_estimation.setup_check.turning import (
     PATTERNS,
     count_turns,
     fit_turns,
+    has_standstill,
+    known_windows,
     log_mixture_density,
     median_bias,
     standstill_windows,
@@ -44,7 +46,6 @@ UNITS = {  # reading per rad/s, by true and declared unit
 EFFICIENCY = (0.08, 1.5)  # turn by the gyro over turn by the tracks, of any machine on any ground
 _USUAL_EFFICIENCY = 0.6
 _LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; a larger one is a wrong unit
-_LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
 _LEAST_GAIN = 5.0  # ln likelihood ratio over no relation
 _TRACK_GAIN = 3.0  # the same, of turns by the tracks
@@ -101,10 +102,9 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
             needed = "turn left and right by 90° once each, with fixes"
         questions.append(OpenQuestion(what, needed, is_wrong=True))
         return GyroResult(drive.with_gyro(None), causes, tuple(questions), is_contradicted=not is_unit_known)
-    is_swing_unknown = gyro.is_above and drive.log.swing is None
     if (
         unit_cause is None
-        and not is_swing_unknown
+        and not drive.is_swing_unknown
         and frozen_share(gyro) < _MOST_FROZEN_SHARE
         and _is_unit_confirmed(drive)
     ):
@@ -130,8 +130,7 @@ def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     if is_finite.sum() < 10:
         return None
     still = standstill_windows(drive.tracks_over_tread)
-    edges = window_edges(drive.grid)
-    window = np.searchsorted(edges, gyro.t, side="right") - 1
+    window = np.searchsorted(drive.grid.window_edges, gyro.t, side="right") - 1
     inside = is_finite & (window >= 0) & (window < len(still))
     at_rest = inside.copy()
     at_rest[inside] = still[window[inside]]
@@ -206,8 +205,8 @@ def _remount(
 
 def _heading_range(turn: FloatArray, x: FloatArray) -> float:
     """Range of the heading by turns (w,) in windows, less their bias, rad."""
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y = turn[usable] - median_bias(turn[usable], x[usable]) * WINDOW
+    y, x = known_windows(turn, x)
+    y = y - median_bias(y, x) * WINDOW
     return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
 
 
@@ -226,8 +225,7 @@ def _tilt_range(gyro: Gyro) -> float:
 
 def turn_ratio(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the gyro over the largest turn that tracks of any signs explain; 0 for half a turn or less."""
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y, x = turn[usable], x[usable]
+    y, x = known_windows(turn, x)
     y = np.abs(y - median_bias(y, x) * WINDOW)
     most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
     total = float(y.sum())
@@ -341,19 +339,17 @@ def _judge_bias(drive: Drive, gyro: Gyro) -> Cause | None:
         return None
     bias, log_ratio, evidence = result
     remedy = (
-        "Let the unit find its bias at standstill, or subtract it: in the "
-        f"mapping 'origin: {bias:.5g}' (rad/s) at "
-        "angular_velocity_z"
+        "Let the unit find its bias at standstill, or subtract it: in the mapping "
+        f"'origin: {bias:.5g}' (rad/s) at angular_velocity_z"
     )
     evidence = f"the gyro shows {np.degrees(bias):.1f} °/s {evidence}"
     return Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)
 
 
 def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y, x = turn[usable], x[usable]
+    y, x = known_windows(turn, x)
     still = standstill_windows(x)
-    if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
+    if not has_standstill(x) or (~still).sum() < 3:
         return None
     bias = median_bias(y, x)
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))

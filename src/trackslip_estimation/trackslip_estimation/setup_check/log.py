@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = NDArray[np.complex128]
 
@@ -55,6 +55,10 @@ class Gyro:
     scale: float = 1.0  # stated, and applied
     mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad; stated, and applied
 
+    def select(self, rows: BoolArray | IntArray) -> "Gyro":
+        """The readings of these rows, by flags (n,) or indices."""
+        return replace(self, t=self.t[rows], rates=self.rates[rows], accelerations=self.accelerations[rows])
+
 
 @dataclass(frozen=True)
 class Fixes:
@@ -66,6 +70,10 @@ class Fixes:
     stddevs: FloatArray  # (n,) m, of one axis
     lever: tuple[float, float] = (0.0, 0.0)  # m, forward and left, stated
     is_above: bool = False
+
+    def select(self, rows: BoolArray | IntArray) -> "Fixes":
+        """The fixes of these rows, by flags (n,) or indices."""
+        return replace(self, t=self.t[rows], places=self.places[rows], stddevs=self.stddevs[rows])
 
     @property
     def noise(self) -> float:
@@ -97,6 +105,10 @@ class Compass:
     convention: str = "enu"
     sign: int = 1
     is_above: bool = False
+
+    def select(self, rows: BoolArray | IntArray) -> "Compass":
+        """The headings of these rows, by flags (n,) or indices."""
+        return replace(self, t=self.t[rows], headings=self.headings[rows])
 
 
 @dataclass(frozen=True)

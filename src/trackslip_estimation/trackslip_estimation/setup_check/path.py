@@ -75,8 +75,7 @@ def thin_fixes(fixes: Fixes, spacing: float) -> Fixes:
         if is_finite[k] and time - last >= spacing:
             indices.append(k)
             last = time
-    index = np.array(indices, dtype=np.int64)
-    return replace(fixes, t=fixes.t[index], places=fixes.places[index], stddevs=fixes.stddevs[index])
+    return fixes.select(np.array(indices, dtype=np.int64))
 
 
 def with_measured_noise(fixes: Fixes) -> Fixes:

@@ -128,11 +128,11 @@ def judge_offset(
         what = f"heading of {compass.name} off by half a turn, {_FRONT_TEXT}"
         return [], [OpenQuestion(what, _AHEAD_REQUEST, is_wrong=True)], measured
     if compass.of_poses:
+        unused = remedies.parameter(f"{group_of(compass.name)}.use_heading", "false")
         remedy = (
-            f"Add {middle:.3f} rad to the headings of {compass.name} where they "
-            "are made (box_localizer: heading of the box; "
-            f"mapping: origin {-middle:.3f} rad at yaw, {middle:.3f} rad at heading), or "
-            f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
+            f"Add {middle:.3f} rad to the headings of {compass.name} where they are made (box_localizer: "
+            f"heading of the box; mapping: origin {-middle:.3f} rad at yaw, {middle:.3f} rad at heading), "
+            f"or {unused}"
         )
         if abs(abs(middle) - np.pi / 2.0) < _LEAST_OFFSET:
             remedy += "; if x of the places points north, exchange x and y and turn one sign instead"
@@ -165,10 +165,9 @@ def _judge_reverse(
             f"the heading turns round in {len(back)} straight pieces in reverse, against {len(ahead)} "
             "forward: a course over ground, or a heading of a cab that swung"
         )
-        alternative = f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
-        alternative = (
-            alternative if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
-        )
+        alternative = f"leave {compass.name} out of slip_estimator.heading_sources"
+        if compass.of_poses:
+            alternative = remedies.parameter(f"{group_of(compass.name)}.use_heading", "false")
         remedy = f"Take the heading of two antennas on the undercarriage, or {alternative}"
         return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
     return [], [] if len(back) else [_direction_question(compass.name, opposite_count, len(ahead))]

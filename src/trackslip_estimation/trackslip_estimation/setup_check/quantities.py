@@ -18,8 +18,9 @@ from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
+from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.speeds import rough_scale
-from trackslip_estimation.setup_check.turning import turn_scale
+from trackslip_estimation.setup_check.turning import known_windows, turn_scale
 
 _LEAST_EXPLAINED = 0.6  # R², by the right quantity
 _MOST_EXPLAINED = 0.95  # cap of any R²: the last per cents do not decide
@@ -115,11 +116,8 @@ def _misfit(drive: Drive) -> float:
 
 
 def _fit_relations(drive: Drive) -> _Relations:
-    distances = np.abs(
-        drive.tracks_over_tread @ np.array(((1.0, 1.0), (1.0, -1.0)))
-    )  # with equal signs, or opposite
     pairs = (
-        max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1)),
+        explained_distance(drive),
         explained_share(drive.turn, drive.tracks_over_tread),
         explained_share(drive.heading_turn, drive.tracks_over_tread),
         explained_share(drive.heading_turn, drive.turn[:, np.newaxis]),
@@ -128,14 +126,19 @@ def _fit_relations(drive: Drive) -> _Relations:
     return _Relations(weight, np.array([share for share, _ in pairs]))
 
 
+def explained_distance(drive: Drive) -> tuple[float, int]:
+    """``explained_share`` of the distance by fixes, by tracks of equal signs or of opposite ones."""
+    distances = np.abs(drive.tracks_over_tread @ np.column_stack(DISTANCES))
+    return max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
+
+
 def explained_share(observed: FloatArray, x: FloatArray) -> tuple[float, int]:
     """R² of a linear relation of ``observed`` (w,) in windows to x (w, k), and the number of usable ones."""
-    usable = np.isfinite(observed) & np.isfinite(x).all(axis=1)
-    count = int(usable.sum())
-    if count < _LEAST_WINDOWS:
+    y, columns = known_windows(observed, x)
+    if len(y) < _LEAST_WINDOWS:
         return 0.0, 0
-    y, columns = observed[usable] - observed[usable].mean(), x[usable] - x[usable].mean(axis=0)
+    y, columns = y - y.mean(), columns - columns.mean(axis=0)
     residuals = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
     total = float(y @ y)
     share = 1.0 - float(residuals @ residuals) / total if total > 1e-12 else 0.0
-    return min(max(share, 0.0), _MOST_EXPLAINED), count
+    return min(max(share, 0.0), _MOST_EXPLAINED), len(y)

@@ -9,22 +9,15 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.log import Compass, Gyro, group_of
 
+SWAP_TRACKS = (
+    "Exchange left and right: in the mapping the columns of left_velocity and right_velocity (left_position "
+    "and right_position; of a bag the joints left and right), in the roles file left_… and right_…"
+)
 
-def parameter(name: str, value: float | str | bool) -> str:
+
+def parameter(name: str, value: float | str) -> str:
     """A line for the parameters of the slip estimator, with a dotted name."""
-    text = (
-        value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
-    )
-    return f"slip_estimator.{name}={text}"
-
-
-def swap_tracks() -> str:
-    """Remedy in the mapping, and in the roles file."""
-    return (
-        "Exchange left and right: in the mapping the columns of "
-        "left_velocity and right_velocity (left_position and "
-        "right_position; of a bag the joints left and right), in the roles file left_… and right_…"
-    )
+    return f"slip_estimator.{name}={value if isinstance(value, str) else f'{value:g}'}"
 
 
 def track_sign(*sides: str) -> str:
@@ -88,6 +81,6 @@ def euler_angles(R: FloatArray) -> tuple[float, float, float]:
     """Roll, pitch, yaw of a rotation (3, 3), rad."""
     pitch = math.asin(float(np.clip(-R[2, 0], -1.0, 1.0)))
     if abs(abs(pitch) - math.pi / 2.0) < 1e-6:
-        return math.atan2(-float(R[0, 1]) * -math.copysign(1.0, pitch), float(R[1, 1])), pitch, 0.0
+        return math.atan2(math.copysign(1.0, pitch) * float(R[0, 1]), float(R[1, 1])), pitch, 0.0
     roll = math.atan2(float(R[2, 1]), float(R[2, 2]))
     return roll, pitch, math.atan2(float(R[1, 0]), float(R[0, 0]))

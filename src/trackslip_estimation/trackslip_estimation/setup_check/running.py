@@ -76,15 +76,13 @@ class RunningCheck:
         The result of an evaluation during which the check restarts is dropped.
         """
         evaluated_rows = self._rows
-        columns = self._columns(LONGEST_S)
-        result = self._check_columns(columns)
-        if result.causes:
-            recent = self._check_columns(self._columns(RECENT_S))
+        result = self._check_latest(LONGEST_S)
+        if result.causes and _is_decided(recent := self._check_latest(RECENT_S)):
             names = {cause.cause for cause in recent.causes}
-            causes = tuple(c for c in result.causes if c.cause in names or not _is_decided(recent))
-            if len(causes) < len(result.causes) and _is_decided(recent):
-                self._remove_older(RECENT_S)
-            result = Result(causes, result.undetermined, result.facts)
+            causes = tuple(cause for cause in result.causes if cause.cause in names)
+            if len(causes) < len(result.causes):
+                self._keep_recent()
+            result = replace(result, causes=causes)
         is_open = bool(result.open_questions)
         with self._lock:
             if self._rows is not evaluated_rows:
@@ -96,8 +94,8 @@ class RunningCheck:
             self.result = result
         return result
 
-    def _check_columns(self, columns: Columns) -> Result:
-        log = log_of_columns(columns, self._parameters)
+    def _check_latest(self, length_s: float) -> Result:
+        log = log_of_columns(self._columns(length_s), self._parameters)
         return Result() if log is None else check(log)
 
     def _columns(self, length_s: float) -> Columns:
@@ -113,13 +111,13 @@ class RunningCheck:
                 columns[key] = stamps[new], values[new]
         return columns
 
-    def _remove_older(self, length_s: float) -> None:
+    def _keep_recent(self) -> None:
         with self._lock:
             newest_ns = max(
                 (source_rows[-1][0] for source_rows in self._rows.values() if source_rows), default=0
             )
             for source_rows in self._rows.values():
-                while source_rows and source_rows[0][0] <= newest_ns - int(length_s * 1e9):
+                while source_rows and source_rows[0][0] <= newest_ns - int(RECENT_S * 1e9):
                     source_rows.popleft()
 
 

@@ -10,7 +10,7 @@ of all hypotheses with it against all without it. Two mistakes that explain a lo
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -80,10 +80,11 @@ class Decision:
     gyro: float  # 1 or −1, correction
     is_mirrored: bool
     heading: float  # 1 or −1, correction
+    causes: frozenset[str]  # mistakes of the hypothesis
     log_odds: Mapping[str, float]  # ln odds of each cause
-    any_odds: float = 0.0  # ln odds of any mistake
-    rivals: tuple[frozenset[str], ...] = field(default=())  # other sets of mistakes within 1 : 100
-    untested: tuple[str, ...] = ()  # single mistakes that the drive excludes by less than 100 : 1
+    any_odds: float  # ln odds of any mistake
+    rivals: tuple[frozenset[str], ...]  # other sets of mistakes within 1 : 100
+    untested: tuple[str, ...]  # single mistakes that the drive excludes by less than 100 : 1
 
 
 def decide(e: Evidence) -> Decision:
@@ -109,7 +110,17 @@ def decide(e: Evidence) -> Decision:
     threshold = by_set[frozenset()] - PRIOR - LEAST_LOG
     untested = tuple(name for name in names if by_set[frozenset((name,))] > threshold)
     a, g, p, h = hypotheses[best]
-    return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, any_odds, rivals, untested)
+    return Decision(
+        assignment=ASSIGNMENTS[a],
+        gyro=1.0 - 2.0 * g,
+        is_mirrored=bool(p),
+        heading=1.0 - 2.0 * h,
+        causes=sets[best],
+        log_odds=odds,
+        any_odds=any_odds,
+        rivals=rivals,
+        untested=untested,
+    )
 
 
 def _hypothesis_causes(a: int, g: int, p: int, h: int) -> frozenset[str]:

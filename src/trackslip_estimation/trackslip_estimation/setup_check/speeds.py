@@ -9,6 +9,7 @@ not explain ρ above 1.1. A wrong factor of 2 shows on the best ground of the lo
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,40 +111,30 @@ def piece_counts(scales: Scales) -> tuple[int, int]:
     return min(int((scales.straight > _STRAIGHT).sum()), _ENOUGH_PIECES), len(scales.ratios)
 
 
-class DistanceRatios:
-    """ρ of the straight pieces of a drive; where these are too few, of the longer half of all."""
+class DistanceRatios(NamedTuple):
+    """ρ of n straight pieces of a drive; where these are too few, of the longer half of all."""
 
-    def __init__(self, scales: Scales) -> None:
-        is_used = scales.straight > _STRAIGHT
-        self.is_straight = bool(is_used.sum() >= _LEAST_WINDOWS)
-        if not self.is_straight:
-            is_used = scales.extents >= np.median(scales.extents)
-        self.values, self.times = scales.ratios[is_used], scales.times[is_used]
+    values: FloatArray  # (n,)
+    times: FloatArray  # (n,) s
+    is_straight: bool
+    worst_ground_ratio: float  # ρ without the lowest tenth of the pieces
+    best_ground_ratio: float
+    median: float
+    robust_stddev: float
+    half_interval: float  # half width of the 95 % interval of the median
 
-    @property
-    def worst_ground_ratio(self) -> float:
-        """ρ on the worst ground, without the lowest tenth of the pieces."""
-        return float(np.percentile(self.values, 10))
 
-    @property
-    def best_ground_ratio(self) -> float:
-        """ρ on the best ground."""
-        return float(np.percentile(self.values, _BEST_PERCENTILE))
-
-    @property
-    def median(self) -> float:
-        """Median of ρ."""
-        return float(np.median(self.values))
-
-    @property
-    def robust_stddev(self) -> float:
-        """Robust standard deviation of ρ."""
-        return 1.4826 * float(np.median(np.abs(self.values - self.median)))
-
-    @property
-    def half_interval(self) -> float:
-        """Half width of the 95 % interval of the median."""
-        return 2.0 * 1.25 * self.robust_stddev / float(np.sqrt(len(self.values))) + 0.01
+def _distance_ratios(scales: Scales) -> DistanceRatios:
+    is_used = scales.straight > _STRAIGHT
+    is_straight = bool(is_used.sum() >= _LEAST_WINDOWS)
+    if not is_straight:
+        is_used = scales.extents >= np.median(scales.extents)
+    values, times = scales.ratios[is_used], scales.times[is_used]
+    worst, best = np.percentile(values, (10.0, _BEST_PERCENTILE)).tolist()
+    median = float(np.median(values))
+    stddev = 1.4826 * float(np.median(np.abs(values - median)))
+    half_interval = 2.0 * 1.25 * stddev / float(np.sqrt(len(values))) + 0.01
+    return DistanceRatios(values, times, is_straight, worst, best, median, stddev, half_interval)
 
 
 def judge_distance(
@@ -155,11 +146,11 @@ def judge_distance(
     tracks, which distinguishes fixes in feet from a wrong unit of the speeds; or nan.
     """
     if scales is None or len(scales.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
-        needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
+        needed = "drive 10 m straight with fixes"
         return [], [OpenQuestion(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
-    ratios, machine, units = DistanceRatios(scales), log.machine, speed_units(log)
+    ratios, machine, units = _distance_ratios(scales), log.machine, speed_units(log)
     best_ratio, middle = ratios.best_ground_ratio / factor, ratios.median / factor  # ρ of the recorded speeds
     unit_logs = {name: slip_log(best_ratio * f) for name, f in units.items()}
     best = max(unit_logs, key=lambda name: unit_logs[name])
@@ -185,9 +176,8 @@ def judge_distance(
         evidence = f"fixes go {best_ratio:.3g} times as far as the tracks"
         evidence += f"; as {possible}, {best_ratio * value:.2f} times"
         remedy = (
-            "State the unit in which the speeds are (mapping: left_velocity "
-            "and right_velocity: unit; roles file: "
-            f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
+            "State the unit in which the speeds are (mapping: left_velocity and right_velocity: unit; "
+            f"roles file: unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     gain = -max(slip_log(best_ratio), -60.0) - PRIOR
@@ -249,9 +239,8 @@ def _judge_gear(ratios: DistanceRatios, factor: float) -> Cause | None:
         f"{high_ratio:.2f} times in {len(high)}: a travel motor of another displacement"
     )
     remedy = (
-        f"State the gear: speeds from flows are {ratio:.3g} times as large "
-        "in the high gear; use left_position and "
-        "right_position of the sprockets in the roles file, or record each gear by itself"
+        f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use "
+        "left_position and right_position of the sprockets in the roles file, or record each gear by itself"
     )
     return Cause(
         "travel_gear",

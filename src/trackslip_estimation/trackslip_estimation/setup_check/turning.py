@@ -40,8 +40,8 @@ class TurnFit(NamedTuple):
 
 def fit_turns(turn: FloatArray, x: FloatArray, scale: float = 1.0) -> TurnFit:
     """Fit of ``turn`` (w,) to ``x`` (w, 2) in windows; ``scale``: reading per rad."""
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y, x = turn[usable] / scale, x[usable]
+    y, x = known_windows(turn, x)
+    y = y / scale
     if len(y) < 3:
         return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0)
     none = _unrelated_log(y, x)
@@ -64,8 +64,7 @@ def fit_turns(turn: FloatArray, x: FloatArray, scale: float = 1.0) -> TurnFit:
 
 def turn_scale(turn: FloatArray, x: FloatArray) -> float:
     """Turn by the sensor over turn by the tracks, by the pattern that explains it best; nan: few turns."""
-    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
-    y, x = turn[usable], x[usable]
+    y, x = known_windows(turn, x)
     if len(y) < 3:
         return float("nan")
     y = y - median_bias(y, x) * WINDOW
@@ -83,8 +82,14 @@ def turn_scale(turn: FloatArray, x: FloatArray) -> float:
     return scale
 
 
+def known_windows(y: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The values y (w,) and x (w, k) of the windows in which all are finite."""
+    is_known = np.isfinite(y) & np.isfinite(x).all(axis=1)
+    return y[is_known], x[is_known]
+
+
 def median_bias(y: FloatArray, x: FloatArray) -> float:
-    """Median rate at standstill, rad/s; without standstill, that of all: turns to both sides cancel."""
+    """Median rate of known windows at standstill, rad/s; without standstill, of all: turns cancel."""
     still = standstill_windows(x)
     return float(np.median(y[still] if has_standstill(x) else y)) / WINDOW if len(y) else 0.0
 

@@ -9,7 +9,7 @@ from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.log import Fixes
-from trackslip_estimation.setup_check.quantities import explained_share
+from trackslip_estimation.setup_check.quantities import explained_distance, explained_share
 from trackslip_estimation.setup_check.sides import FASTEST
 from trackslip_estimation.setup_check.speeds import MOST_TURN
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
@@ -61,8 +61,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
 def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
     """Distance of fixes in another unit over that by the tracks; 0 for fixes in m, and for constant ones."""
     speeds = np.abs(drive.tracks_over_tread).max(axis=1) * drive.machine.tread / WINDOW
-    distances = np.abs(drive.tracks_over_tread @ np.array(((1.0, 1.0), (1.0, -1.0))))
-    share, windows = max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
+    share, windows = explained_distance(drive)
     ratio = float(np.nansum(drive.fix_distances)) / distance
     is_other = ratio < _LEAST_RATIO and share > _RELATED and float(np.nanpercentile(speeds, 95)) < FASTEST
     return ratio if is_other and windows >= _LEAST_WINDOWS else 0.0
@@ -92,7 +91,7 @@ def judge_turns(drive: Drive) -> list[OpenQuestion]:
     by_heading, heading_windows = explained_share(drive.heading_turn, drive.tracks_over_tread)
     mutual, _ = explained_share(drive.heading_turn, drive.turn[:, np.newaxis])
     gyro, compass, mismatches = drive.gyro, drive.compass, []
-    if gyro is None or gyro_windows < _LEAST_WINDOWS or (gyro.is_above and drive.log.swing is None):
+    if gyro is None or gyro_windows < _LEAST_WINDOWS or drive.is_swing_unknown:
         return []
     if max(by_gyro, mutual) < _UNRELATED:
         mismatches.append(f"turns of {gyro.name} that neither tracks nor headings show")
@@ -110,8 +109,7 @@ def judge_counting(drive: Drive) -> list[OpenQuestion]:
     """
     counted = drive.grid.tracks[drive.grid.is_driven]
     turn = np.abs(drive.heading_turn if drive.gyro is None else drive.unbiased_turn)
-    is_hidden = drive.gyro is not None and drive.gyro.is_above and drive.log.swing is None
-    if is_hidden or not len(counted) or float(counted.min()) < -_ROUNDING:
+    if drive.is_swing_unknown or not len(counted) or float(counted.min()) < -_ROUNDING:
         return []
     left, right = drive.tracks_over_tread.T
     difference, total = np.pad(np.abs(right - left), 1), left + right

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Columns with placeholders of missing values, or with wrong units of time."""
+"""Columns with placeholders of missing values."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -9,8 +9,8 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.grid import continuous_angles
-from trackslip_estimation.setup_check.log import ComplexArray, Log, Tracks
+from trackslip_estimation.setup_check.grid import tracks_of_speeds
+from trackslip_estimation.setup_check.log import ComplexArray, Log
 
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, within the range of the others or far beyond it
@@ -22,8 +22,6 @@ _RETURN_SHARE = 0.3  # of a jump, largest difference of the readings before and 
 _QUANTA = 5.0  # times the smallest changes of readings
 _JITTER_COUNTS = 2.5  # counts: one forward and one back in a row, and half of one by jitter of stamps
 _LARGE_SHARE = 0.3  # of the size of large readings; smaller jumps may be motion or noise
-_TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
-_PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
 _FIX_STEP = 30.0  # m from both neighbours; a place farther away is no fix of the machine
 
 
@@ -104,60 +102,37 @@ def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
     is_missing = np.zeros(len(tracks.t), np.bool_)
     count = log.counts.measured / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
-        speeds, gaps = tracks.speeds[:, side], _readings_after_gap(tracks.t)
-        is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", speeds, gaps, count)
+        speeds = tracks.speeds[:, side]
+        is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", tracks.t, speeds, count)
     if is_missing.any():
-        is_valid = ~is_missing
-        unknown = np.full((int(is_valid.sum()), 2), np.nan)
-        t, speeds = tracks.t[is_valid], tracks.speeds[is_valid]
-        log = replace(log, tracks=Tracks(t, speeds, continuous_angles(t, speeds, unknown)))
+        log = replace(log, tracks=tracks_of_speeds(tracks.t[~is_missing], tracks.speeds[~is_missing]))
     gyros, fixes = [], []
     for gyro in log.gyros:
         is_missing = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
-            is_missing |= _mark_missing(
-                missing_values,
-                gyro.name,
-                f"rate about {name}",
-                gyro.rates[:, axis],
-                _readings_after_gap(gyro.t),
-            )
-        is_valid = ~is_missing
-        gyros.append(
-            replace(
-                gyro,
-                t=gyro.t[is_valid],
-                rates=gyro.rates[is_valid],
-                accelerations=gyro.accelerations[is_valid],
-            )
-        )
+            rates = gyro.rates[:, axis]
+            is_missing |= _mark_missing(missing_values, gyro.name, f"rate about {name}", gyro.t, rates)
+        gyros.append(gyro.select(~is_missing))
     for source in log.fixes:
-        is_missing = _mark_missing_fixes(missing_values, source.name, source.places)
-        is_valid = ~is_missing
-        fixes.append(
-            replace(
-                source, t=source.t[is_valid], places=source.places[is_valid], stddevs=source.stddevs[is_valid]
-            )
-        )
+        fixes.append(source.select(~_mark_missing_fixes(missing_values, source.name, source.places)))
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), missing_values
-
-
-def _readings_after_gap(t: FloatArray) -> BoolArray:
-    """(n,) readings after a gap: an increment is twice as large there."""
-    intervals = np.diff(t, prepend=t[:1])
-    return np.asarray(intervals > 1.5 * np.median(intervals))
 
 
 def _mark_missing(
     missing_values: list[MissingValue],
     source: str,
     column: str,
+    t: FloatArray,
     values: FloatArray,
-    after_gap: BoolArray,
     count: float = 0.0,
 ) -> BoolArray:
+    """(n,) missing readings of one column, whose value is added to ``missing_values``.
+
+    Most of them follow no gap: an increment is twice as large after a gap.
+    """
+    intervals = np.diff(t, prepend=t[:1])
     missing = find_missing_value(values, count)
-    if missing is None or after_gap[missing[1]].mean() > 0.5:
+    if missing is None or (intervals > 1.5 * np.median(intervals))[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
     missing_values.append(MissingValue(source, column, value, int(where.sum()), float(where.mean())))
@@ -179,16 +154,3 @@ def _mark_missing_fixes(missing_values: list[MissingValue], source: str, places:
     count, share = int(jumps.where.sum()), float(jumps.where.mean())
     missing_values.append(MissingValue(source, "place", float(jumps.value.real), count, share, 2))
     return jumps.where
-
-
-def time_factor(t: FloatArray, kind: str) -> float:
-    """Factor that gives stamps a plausible period of such a sensor; 1 where they have one, or none fits."""
-    if len(t) < 10:
-        return 1.0
-    period = float(np.median(np.diff(t)))
-    low, high = _PERIODS[kind]
-    if low <= period <= high or period <= 0.0:
-        return 1.0
-    usual = float(np.sqrt(low * high))
-    fitting = [f for f in _TIME_FACTORS if low <= period * f <= high]
-    return min(fitting, key=lambda f: abs(np.log(period * f / usual)), default=1.0)
