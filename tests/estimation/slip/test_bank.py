@@ -206,8 +206,8 @@ def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
 def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> None:
     """The displacement of the fixes grows within 6 s, lasts for 10 s, and ends."""
     rms, nees = np.median([off_evenly(part, heading_noise) for part in range(12)], axis=0)
-    assert rms < 0.15
-    assert nees < 3.0
+    assert rms < 0.18
+    assert nees < 3.5
 
 
 def test_fixes_with_a_persistent_offset_are_used_again_within_a_minute() -> None:
@@ -434,6 +434,34 @@ def test_pair_of_antennas_shows_that_the_gyro_fails(
     assert np.sqrt(np.mean(error**2)) < 0.04
     assert np.mean(nees > 13.8) < 0.02
     assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("fix_rate", [1, 5])
+@pytest.mark.parametrize("fault", ["stays", "counts backward", "drifts"])
+def test_wrong_compass_is_found_without_a_gyro(fault: str, fix_rate: int, seed: int) -> None:
+    """Its error changes as fast as the machine turns."""
+    machine = Machine(
+        duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate, seed=seed
+    )
+    recording = drive(machine)
+    tracks: list[Measurement] = [m for m in recording.measurements if not isinstance(m, YawRate)]
+    fails, wrong, last = range(21 * S, 33 * S), list[Measurement](), 0.0
+    for m in with_compass(recording, tracks, 10, 0.02):
+        if isinstance(m, HeadingFix):
+            shown = {
+                "stays": last,
+                "counts backward": 2.0 * last - m.heading,
+                "drifts": m.heading + 0.05 * (m.stamp_ns / S - 21.0),
+            }
+            is_wrong = m.stamp_ns in fails
+            last = last if is_wrong else m.heading
+            wrong.append(replace(m, heading=math.remainder(shown[fault], math.tau)) if is_wrong else m)
+        else:
+            wrong.append(m)
+    error, nees, _ = errors(wrong, recording, parameters(**GNSS, heading_sources=["compass"]))
+    assert np.sqrt(np.mean(error**2)) < 0.1
+    assert np.mean(nees > 13.8) < 0.05
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -35,7 +35,6 @@ from trackslip_estimation.slip.models.model import (
     GYRO_BIAS,
     POSE,
     SIZE,
-    SPEED_TIME,
     UNDERCARRIAGE_SIZE,
     YAW,
 )
@@ -213,9 +212,10 @@ def test_velocity_errors_add_up_to_the_twist_and_fade(model: str) -> None:
     assert math.hypot(*after[:YAW]) == pytest.approx(0.1 * tau * (1.0 - 1.0 / math.e))
     assert after[YAW] == pytest.approx(0.2 * tau * (1.0 - 1.0 / math.e))
     silent = moved(x, Drive(0.0, 0.0, Motion.UNKNOWN), tau, CONFIGS[model])
-    left = math.exp(-tau / SPEED_TIME)
+    unknown_time = float(c["unknown_time"])
+    left = math.exp(-tau / unknown_time)
     np.testing.assert_allclose(silent[SPEED_ERROR : YAW_RATE_ERROR + 1], (0.1 * left, 0.2 * left))
-    assert silent[YAW] == pytest.approx(0.2 * SPEED_TIME * (1.0 - left))
+    assert silent[YAW] == pytest.approx(0.2 * unknown_time * (1.0 - left))
 
 
 @both

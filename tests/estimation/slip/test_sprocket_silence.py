@@ -123,26 +123,22 @@ def without(
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_pose_in_silence_is_held_and_its_covariance_covers_the_distance(
-    drive: Callable[..., Any], model: str
-) -> None:
-    """4 s without sprockets and fixes while the machine drives and turns."""
+def test_covariance_covers_the_distance_in_silence(drive: Callable[..., Any], model: str) -> None:
+    """4 s without sprockets and fixes while the machine drives and turns; its speed is kept at first."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 10.0)
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose", "model": model}))
-    spread, poses = [], []
+    spread = []
     for m in kept:
         estimator.process(m)
         if isinstance(m, YawRate) and 6.6 * S < m.stamp_ns < 9.9 * S:
             now = estimator.estimate()
             spread.append(float(np.sqrt(np.trace(now.pose_covariance[:2, :2]))))
-            poses.append(now.pose)
             assert now.motion is Motion.UNKNOWN
             error = now.pose - driven.truth[m.stamp_ns][:3]
             assert error[:2] @ np.linalg.solve(now.pose_covariance[:2, :2], error[:2]) < 9.0
-    assert np.ptp(np.array(poses)[:, :2], axis=0).max() < 0.05  # only the gyro moves it: C turns about x_I
     assert spread == sorted(spread)
-    assert 1.0 < spread[-1] < 4.0  # √2 · r · 5 rad/s · √(2 τ t), at most the distance it can drive
+    assert 1.0 < spread[-1] < 4.0  # at most the distance it can drive
 
 
 @pytest.mark.parametrize("model", ["turning", "icr"])

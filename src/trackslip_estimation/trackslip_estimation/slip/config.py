@@ -71,6 +71,7 @@ class Config(Record):
     max_sprocket_speed: float  # rad/s
     unknown_speed: float  # standard deviation of an unknown speed, m/s
     unknown_yaw_rate: float  # rad/s
+    unknown_time: float  # correlation time of both, s
     unmodelled_yaw_rate: float  # standard deviation of an unknown yaw rate that is no state, rad/s
     max_gap: float  # s
     shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, ``TRACKS``, and ``GYROS`` if any
@@ -138,6 +139,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["sprocket_timeout_ns"], c["max_sprocket_speed"] = round(p.sprocket_timeout * 1e9), p.max_sprocket_speed
     unknown = unknown_motion(p.vehicle.kinematics, p.max_sprocket_speed)
     c["unknown_speed"], c["unknown_yaw_rate"] = unknown.speed, unknown.yaw_rate
+    c["unknown_time"] = unknown.time
     c["unmodelled_yaw_rate"] = unknown.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
     for name in ("events", "bank", "receivers", "ground"):

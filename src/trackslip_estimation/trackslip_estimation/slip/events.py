@@ -115,6 +115,7 @@ class EventParameters(Parameters):
     wander_speed: float = parameter("largest speed of fixes that drift", unit="m/s", gt=0.0)
     wander_walk: float = parameter("random walk of that speed", unit="m/s/√s", gt=0.0)
     heading_walk: float = parameter("random walk of a heading offset", unit="rad/√s", ge=0.0)
+    swing_walk: float = parameter("random walk of a swing-angle offset", unit="rad/√s", ge=0.0)
     velocity_stddev: float = parameter("standard deviation of a velocity offset", unit="m/s", gt=0.0)
     velocity_walk: float = parameter("random walk of a velocity offset", unit="m/s/√s", ge=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)

@@ -110,7 +110,8 @@ def propagate_faults(state: State, dt: float, c: Config) -> None:
     for source in range(state.fault.size):
         if state.fault[source] == IS_HEADING_WANDERING:
             index = c.yaw_offsets[source]
-            P[index, index] += c.events.heading_walk**2 * dt
+            walk = c.events.swing_walk if c.of_swing[source] == 1 else c.events.heading_walk
+            P[index, index] += walk**2 * dt
         elif state.fault[source] == IS_OFFSET and pose_source_number(source, c) < 0:
             for index in (c.offsets[source], c.offsets[source] + 1):
                 P[index, index] += c.events.velocity_walk**2 * dt

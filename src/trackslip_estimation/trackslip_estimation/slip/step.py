@@ -22,14 +22,14 @@ import numpy as np
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
 from trackslip_estimation.kalman import daf
-from trackslip_estimation.kalman.linear_algebra import copy_square, sandwich, used_size
+from trackslip_estimation.kalman.linear_algebra import copy_square, used_size
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
 from trackslip_estimation.slip.coasting import (
     add_unknown_motion_noise,
     inflate_start_pose,
-    reset_velocity_errors,
+    set_unknown_speeds,
 )
 from trackslip_estimation.slip.events import ANY_HEADING, UNKNOWN_HEADING
 from trackslip_estimation.slip.late_stamps import propagate_delay
@@ -39,8 +39,6 @@ from trackslip_estimation.slip.models.dispatch import (
     has_velocity_errors,
     linearize,
     propagate_mean,
-    twist,
-    twist_jacobian,
 )
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE, UNDERCARRIAGE_SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import update_shear
@@ -157,12 +155,7 @@ def coast(state: State, dt: float, c: Config) -> None:
     """Propagate over ``dt`` s of silence. Beyond ``max_gap`` the covariance stays: the pose is lost."""
     dt = min(dt, c.max_gap)
     if not state.coasting:
-        left, right = state.speeds.left, state.speeds.right
-        rate, variance = 0.0, c.unknown_yaw_rate**2
-        if state.fault[TRACKS] != IS_FAILED:
-            rate = twist(state.mean[:], left, right, c)[2]
-            variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
-        reset_velocity_errors(state, (rate, variance), c)
+        set_unknown_speeds(state, c)
     set_zero_speeds(state.speeds)
     clear_track_error(state.adaptation)
     reset_motion(state.motion)

@@ -19,7 +19,7 @@ SWING, SWING_RATE = UNDERCARRIAGE_SIZE, UNDERCARRIAGE_SIZE + 1  # σ and σ̇ (`
 SENSOR_ERRORS = SWING_RATE + 1  # first sensor error (``source_offsets``)
 MOST_SENSOR_ERRORS = 18
 SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; unused states are zero
-SPEED_TIME = 1.0  # s, correlation time of an unobserved speed
+SPEED_TIME = 1.0  # s, correlation time of an unobserved speed that is no state
 
 
 class Part(NamedTuple):

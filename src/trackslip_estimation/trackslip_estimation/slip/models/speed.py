@@ -48,7 +48,6 @@ from trackslip_estimation.slip.models.model import (
     GYRO_BIAS,
     GYRO_SCALE,
     SIZE,
-    SPEED_TIME,
     Part,
     Prior,
     X,
@@ -200,7 +199,7 @@ def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
 @compiled
 def _error_time(motion: int, c: Config) -> float:
     """τ, s; while the sprockets are silent, that of the speeds themselves."""
-    return SPEED_TIME if motion == _SILENT else c.velocity_errors.time
+    return c.unknown_time if motion == _SILENT else c.velocity_errors.time
 
 
 @compiled
@@ -254,7 +253,7 @@ def error_variances(x: FloatArray, P: FloatArray, state: State, c: Config) -> tu
     if motion.motion != _STANDING:
         rounding = c.rolling_radius**2 * rounding_variance(e.time, speeds)
         of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
-    extrapolated = state.time_since_sample / SPEED_TIME
+    extrapolated = state.time_since_sample / c.unknown_time
     return (
         of_speed + extrapolated * c.unknown_speed**2,
         of_rate / (c.tread * c.tread) + extrapolated * c.unknown_yaw_rate**2,

@@ -26,7 +26,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation, independent_observation
-from trackslip_estimation.slip.coasting import SIDEWAYS
+from trackslip_estimation.slip.coasting import unknown_sideways_variance
 from trackslip_estimation.slip.levers import horizontal_lever_arm, swung_lever_arm
 from trackslip_estimation.slip.models import slope
 from trackslip_estimation.slip.models.dispatch import (
@@ -168,7 +168,7 @@ def _jacobian(state: State, left: float, right: float, source: int, c: Config) -
 def _sideways_variance(state: State, left: float, right: float, c: Config) -> float:
     """Variance of the speed of C to the left that is not a state, (m/s)²."""
     if state.coasting:
-        return (SIDEWAYS * c.unknown_speed) ** 2
+        return unknown_sideways_variance(state, c)
     if not has_velocity_errors(c):
         return 0.0
     squares = c.rolling_radius**2 * (left * left + right * right) / 4.0
