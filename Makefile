@@ -47,7 +47,7 @@ drives: setup ## forty random drives of random machines, in and out of the laser
 cases: setup ## drives with injected faults, scored beside those of a baseline, and their bars (ARGS='--only marmotte --json FILE')
 	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/main.py $(ARGS)
 
-sweep: setup ## each fault of the cases at many times of real logs, ten minutes (ARGS='--only encoder')
+sweep: setup ## each fault of the cases at many times of real logs, a quarter of an hour (ARGS='--only encoder')
 	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/sweep.py $(ARGS)
 
 # A module's tests run in one worker, and those with whole graphs (group graph) one by one: three more workers than

@@ -218,12 +218,11 @@ def test_fault_beside_headings_is_found_at_each_time_of_a_real_drive(
 
 @pytest.mark.skipif(not is_present("warthog"), reason="no log of the wheeled robot")
 @pytest.mark.parametrize("compass", [None, TWO_ANTENNAS])
-@pytest.mark.parametrize("fault", ["both encoders show 0 10 s", "right encoder reversed 10 s"])
-def test_failed_encoders_are_found_without_a_gyro(fault: str, compass: Compass | None) -> None:
+def test_failed_encoders_are_found_without_a_gyro(compass: Compass | None) -> None:
     """A fast machine keeps its speed while its encoders fail."""
-    cell = sweep(Setting("warthog", 5.0, fault, compass, has_gyro=False))
-    assert cell.median_rmse < 0.35
-    assert max(s.rmse for s in cell.scores.values()) < 0.6
+    cell = sweep(Setting("warthog", 5.0, "both encoders show 0 10 s", compass, has_gyro=False))
+    assert cell.median_rmse < 0.15
+    assert max(s.rmse for s in cell.scores.values()) < 0.25
     assert cell.inconsistent < 0.06
 
 
