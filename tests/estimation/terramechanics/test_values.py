@@ -224,15 +224,21 @@ def test_figure_3_8_centre_point(pc05):
     assert error[-1] == pytest.approx(-0.039, abs=1e-3)
 
 
+def test_uniform_moment_is_three_quarters():
+    triangular = turning.triangular_moment(12e3, 1.3, 0.4)
+    assert turning.uniform_moment(12e3, 1.3, 0.4) == pytest.approx(0.75 * triangular)
+
+
 @pytest.mark.parametrize("speed", [0.5, -0.5])
 @pytest.mark.parametrize("yaw_rate", [0.8, -0.8])
-def test_shift_of_the_centre_balances_the_centrifugal_force(pc05, speed, yaw_rate):
+def test_slip_angle_and_shift_balance_the_centrifugal_force(pc05, speed, yaw_rate):
     """Friction −k (v_y + φ̇ x) with k of (3.9) balances m v_x φ̇ in each of the four senses of turning."""
     length, mu = pc05.contact_length, 0.7
     shift = turning.rotation_shift(speed, yaw_rate, length, mu)
     slope = 2.0 * mu * pc05.weight / length**2 * math.copysign(1.0, yaw_rate)
     lateral = 2.0 * integral(lambda x: -slope * (x - shift), -length / 2, length / 2)
     assert lateral == pytest.approx(pc05.mass * speed * yaw_rate, rel=1e-9)
+    assert math.tan(turning.slip_angle(yaw_rate, length, mu)) == pytest.approx(-yaw_rate * shift / speed)
 
 
 # Hydraulics
@@ -249,6 +255,12 @@ def test_thrust_as_printed_in_litres_and_kgf(pc05):
     kgf_per_cm2 = 5e6 / (GRAVITY * 1e4)
     printed = 5.0 * GRAVITY * pc05.motor_efficiency * litres * kgf_per_cm2 / (math.pi * pc05.rolling_radius)
     assert hydraulics.thrust_of_pressure(5e6, 1.0, pc05) == pytest.approx(printed, rel=1e-12)
+
+
+def test_relief_valve_limits_both_signs(pc05):
+    limit = pc05.relief_pressure
+    limited = hydraulics.relieved_pressure([-2 * limit, 1e6, 2 * limit], pc05)
+    assert limited == pytest.approx([-limit, 1e6, limit])
 
 
 def test_top_speed_at_full_pump_flow(pc05):
