@@ -124,7 +124,7 @@ def without(
 
 @pytest.mark.parametrize("model", MODELS)
 def test_covariance_covers_the_distance_in_silence(drive: Callable[..., Any], model: str) -> None:
-    """4 s without sprockets and fixes while the machine drives and turns; its speed is kept at first."""
+    """4 s without sprockets and fixes while the machine drives and turns."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 10.0)
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose", "model": model}))
@@ -139,6 +139,16 @@ def test_covariance_covers_the_distance_in_silence(drive: Callable[..., Any], mo
             assert error[:2] @ np.linalg.solve(now.pose_covariance[:2, :2], error[:2]) < 9.0
     assert spread == sorted(spread)
     assert 1.0 < spread[-1] < 4.0  # at most the distance it can drive
+
+
+@pytest.mark.parametrize("model", ["turning", "icr"])
+def test_machine_keeps_its_speed_at_first_in_silence(drive: Callable[..., Any], model: str) -> None:
+    driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 2.0, 2.0, 0.05, 0.05, 0.0)])
+    kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 9.0)
+    found = {e.stamp_ns: e for e in run(kept, model=model)[1]}
+    moved = found[9 * S].pose[:2] - found[6 * S].pose[:2]
+    true = driven.truth[9 * S][:2] - driven.truth[6 * S][:2]
+    assert 0.5 < np.linalg.norm(moved) / np.linalg.norm(true) < 1.2
 
 
 @pytest.mark.parametrize("model", ["turning", "icr"])
