@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from fixtures.fault_cases.case import GNSS, FaultCase, stamp
+from fixtures.fault_cases.robot_logs import between, is_present, merged, read_log, reference_fixes
+from fixtures.fault_cases.scoring import score
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -70,6 +73,26 @@ def test_wrong_velocities_do_not_degrade_fixes(kind: str) -> None:
         nees.append(np.mean(of_each[during]))
     assert math.sqrt(np.mean(squares)) < 0.1
     assert np.mean(nees) < 5.0  # 2 if consistent
+
+
+@pytest.mark.skipif(not is_present("marmotte"), reason="needs the logs of ../shared/data")
+@pytest.mark.parametrize("begin", [60.0, 80.0, 100.0])
+@pytest.mark.parametrize("kind", ["zero", "frozen"])
+def test_repeated_velocities_do_not_displace_a_robot_that_turns_often(kind: str, begin: float) -> None:
+    """Without a gyro, and with ten velocities to each fix; its speed is no more continuous than theirs."""
+    log = read_log("marmotte").without_gyro()
+    random, times = np.random.default_rng(int(begin)), np.arange(begin - 40.0, begin + 30.0, 0.1)
+    moved = log.truth.at(times + 0.3)[:, :2] - log.truth.at(times - 0.3)[:, :2]
+    velocities = FAULTS[kind](times - begin, moved / 0.6 + random.normal(0.0, STDDEV, moved.shape))
+    R = STDDEV**2 * np.eye(2)
+    seen = [VelocityFix(SOURCE, stamp(t), v, R) for t, v in zip(times.tolist(), velocities, strict=True)]
+    measurements = merged(log.odometry, reference_fixes(log.truth, 1.0, int(begin)), seen)
+    window = (begin, begin + 20.0)
+    inputs = between(measurements, begin - 40.0, window[1])
+    found = score(FaultCase(log.parameters(GNSS, velocity_sources=[SOURCE]), inputs, log.truth, window))
+    assert found.rmse < 0.2
+    assert found.inconsistent < 0.02
+    assert found.heading_rmse < 0.8  # not reversed
 
 
 def test_velocity_as_stated_causes_no_event() -> None:

@@ -13,7 +13,8 @@ before the measurement that the event explains. "Since": after the latest consis
     WANDERS          nothing; its positions drift                        since
     HEADING_OFF      the offset of its headings or swing angles          before
     HEADING_WANDERS  the same offset, which walks                        before, or since
-    REPEATS          nothing; bit-identical fixes or angles               before
+    REPEATS          nothing; bit-identical fixes, angles or velocities  before
+                     nothing; the same angle of a swing encoder          since
     STAYS            nothing; fixes that jitter about one position       before, or since
     SCATTERS         nothing; measurements uniform over an area          before
     RECOVERED        nothing; a fault of the source ended                before

@@ -213,7 +213,7 @@ class Update(Record):
     stated: float  # standard deviation as stated by a fix, m
     coarse: int  # 0 or 1: whether the error of a fix may be time-correlated
     measured_position: Annotated[FloatArray, 2]  # position of base_link by a coarse fix, m
-    squared_repeat_distance: float  # from the previous fix of the source, m²
+    squared_repeat_distance: float  # from the previous measurement of the source, m², rad² or (m/s)²
     tied: int  # 0 or 1: takes the likelihood of the most probable branch that may use the fix
     opened: int  # latest ``events.Event`` in this step
     attitude: int  # ``AttitudeRejection`` of an IMU or a fix; 0: used, or not requested

@@ -191,13 +191,16 @@ def weigh_repeat(kind: int, o: Observation, is_staying: bool, c: Config, update:
 
     A source that stays and jitters cannot be distinguished from a machine that is stuck. Such a fix is
     *tied*: it gets the likelihood of the most probable branch that may use it (``bank.rows``). Angles with
-    few digits often repeat while they change slowly. So their density is that of the stated noise.
+    few digits often repeat while they change slowly. So their density is that of the stated noise. Positions
+    and velocities of a moving sensor do not repeat.
     """
     m, stddev, unused = o.innovation.size, math.sqrt(2.0 * o.noise[0, 0]), 0.0
     if kind == POSE:
         unused = _LOG_TWO_PI if m > YAW else 0.0
         m, stddev = YAW, math.sqrt(2.0) * update.stated if is_staying else c.bank.repeat_stddev
         update.tied = int(is_staying and can_be_repetition(update, c))
+    elif kind == VELOCITY:
+        stddev = c.bank.repeat_stddev
     limit = c.gate_limits[m]
     update.dof, update.gate, update.nis = m, limit, update.squared_repeat_distance / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit

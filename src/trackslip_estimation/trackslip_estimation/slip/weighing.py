@@ -110,7 +110,7 @@ def weigh_and_update(
     log_outlier = log_density_of_outlier(measurement, o, predicted, c)
     if fault in (IS_REPEATING, IS_STAYING):
         weigh_repeat(kind, o, fault == IS_STAYING, c, update)
-        _discount_correlated_angle(kind, elapsed, update.evidence, log_outlier, update)
+        _discount_correlated_angle(kind, elapsed, log_outlier, update)
         return
     if fault == IS_WANDERING:
         wander = state.offsets[pose_source_number(source, c)].wander
@@ -121,7 +121,7 @@ def weigh_and_update(
     since_ns = measurement.stamp_ns - state.consistent_ns[source]
     inflation = correlated_inflation(since_ns, c.repeat_times[source])
     R, is_used, is_independent = _weigh(state, measurement, o, predicted, log_outlier, c, update)
-    _discount_correlated_angle(kind, elapsed, _log_density(update), log_outlier, update)
+    _discount_correlated_angle(kind, elapsed, log_outlier, update)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _set_whitened_innovation(state, o.innovation, predicted + R, update)
     if not is_used:
@@ -163,25 +163,17 @@ def _update_heading_only(
 
 
 @compiled
-def _discount_correlated_angle(
-    kind: int, elapsed: float, log_density: float, log_outlier: float, update: Update
-) -> None:
+def _discount_correlated_angle(kind: int, elapsed: float, log_outlier: float, update: Update) -> None:
     """Lower the evidence of an angle that agrees, ``elapsed`` s after the previous one."""
     if kind in (HEADING, ON_SWING):
         uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
-        update.evidence -= uncounted * max(log_density - log_outlier, 0.0)
+        update.evidence -= uncounted * max(update.evidence - log_outlier, 0.0)
 
 
 @compiled
 def contradiction_limit(rows: int, c: Config) -> float:
     """NIS of ``rows`` degrees of freedom beyond which a measurement contradicts a branch: half its gate."""
     return float(c.gate_limits[rows] / 2.0)
-
-
-@compiled
-def _log_density(update: Update) -> float:
-    """ln of the normal density of an innovation."""
-    return float(-(update.nis + update.log_determinant + update.dof * _LOG_TWO_PI) / 2.0)
 
 
 @compiled

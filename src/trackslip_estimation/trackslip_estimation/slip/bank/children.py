@@ -196,8 +196,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     if measurement.kind == POSE and slip_range_penalty(before, c) > 0.0:
         return True
     if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
-        is_moving_fix = measurement.kind == POSE and _is_sensor_moving(before, measurement.source, c)
-        return bool((is_moving_fix and is_repeated(update, c)) or branch.cusum.max() > c.bank.cusum_limit)
+        return bool(_is_repeated_in_motion(window, s, k, c) or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
 
@@ -212,6 +211,13 @@ def _log_odds_of_stamp_delay(m: MeasurementRecord, before: State, c: Config) -> 
 def _is_sensor_moving(before: State, source: int, c: Config) -> bool:
     """Whether the sensor of a source moves, so that its fixes cannot be identical."""
     return bool(before.motion.motion != _STANDING or is_moved_by_swing(before, source, c))
+
+
+@compiled
+def _is_repeated_in_motion(window: Window, s: int, k: int, c: Config) -> bool:
+    """Whether measurement k equals the previous one although branch s has moved its sensor."""
+    is_moving = _is_sensor_moving(window.states[s, k - 1], window.measurements[k].source, c)
+    return bool(is_moving and is_repeated(update_of(window, s, k), c))
 
 
 @compiled
@@ -253,6 +259,8 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
         _make_fix_children(window, p, k, contradicts, c)
     elif contradicts:
         _make_angle_children(window, p, k, c)
+    elif m.kind == VELOCITY and fault == IS_HEALTHY and _is_repeated_in_motion(window, p, k, c):
+        add_child_at_measurement(window, p, k, REPEATS, source, 0.0, c)
     if _can_have_earlier_event(window, p, k, c):
         make_earlier_children(window, p, k, _is_slip_implausible(window, p, k, c), c)
 
@@ -376,7 +384,7 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)
-        if m.kind != VELOCITY and is_repeated(update, c):
+        if is_repeated(update, c):
             add_child_at_measurement(window, p, k, REPEATS, source, 0.0, c)
         _make_heading_offset_child(window, p, k, c)
         if m.kind == VELOCITY and has_recent_fix(before, m, c):

@@ -18,6 +18,7 @@ from trackslip_estimation.slip.events import (
     LOST,
     NOISE,
     OFFSET,
+    REPEATS,
     SLID,
     SLIPPED,
     STAYS,
@@ -140,10 +141,10 @@ def _is_heading_unknown(before: State) -> bool:
 
 @compiled
 def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
-    """Add children in which sprockets, gyros or an odometry have not measured the motion.
+    """Add children in which sprockets, gyros, an odometry or a swing encoder have not measured the motion.
 
     A slip nearer to −1 than to its range indicates lost counts; their event replaces the slip event in the
-    prior of the branch.
+    prior of the branch. Sensors on the upper structure show a swing that a frozen encoder does not.
     """
     before = window.states[p, k - 1]
     for unit in range(MOST_SOURCES):
@@ -162,6 +163,9 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
         add_child_since_snapshot(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
+    for other in range(MOST_SOURCES):
+        if c.of_swing[other] == 1 and before.fault[other] == IS_HEALTHY:
+            add_child_since_snapshot(window, p, k, REPEATS, other, 0, -penalty, c)
 
 
 @compiled

@@ -56,7 +56,7 @@ class BankParameters(Parameters):
         "value that a sound measurement contributes to the running share of outliers", gt=0.0, lt=1.0
     )
     repeat_stddev: float = parameter(
-        "standard deviation of a repeated fix from the previous one", unit="m", gt=0.0
+        "standard deviation of a repeated fix, or velocity, from the previous one", unit="m", gt=0.0
     )
     repeat_jitter: float = parameter("share of frozen sources whose fixes still jitter", gt=0.0, lt=1.0)
     longest_interval: float = parameter(
