@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fixtures.imports import import_csv, import_messages, import_topics
 from fixtures.made_bags import heading, joints, quaternion, write_bag
@@ -141,3 +142,16 @@ def test_joints_that_no_stamp_joins_are_refused(tmp_path: Path) -> None:
     topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right"}}
     with pytest.raises(InputError, match="no messages of one stamp, hold left, right together"):
         import_messages(tmp_path, wheels(0.01), topics)
+
+
+@pytest.mark.parametrize(("every", "digits", "count"), [(10, 2, 29), (1, 0, 300)])
+def test_a_heading_that_the_log_holds_is_one_message_and_a_coarse_one_is_not(
+    every: int, digits: int, count: int, tmp_path: Path
+) -> None:
+    """Held over ten rows, or rounded to degrees while the machine turns at all rates."""
+    at = every * (np.arange(300) // every)
+    headings = 90.0 + 40.0 * np.sin(0.02 * at)
+    rows = [f"{0.1 * k:.1f},{heading:.{digits}f}" for k, heading in enumerate(headings.tolist())]
+    heading = {"heading": {"column": "h", "unit": "deg"}}
+    _, messages = import_csv(tmp_path, "\n".join(("t,h", *rows, "")), {"heading": heading})
+    assert len(messages) == count

@@ -14,6 +14,7 @@ from fixtures.made_bags import fix, write_bag
 from trackslip_bags.importing.importer import Imported
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
 from trackslip_estimation.gnss.localizer import Reason
 from trackslip_estimation.gnss.parameters import NODE
 
@@ -146,3 +147,25 @@ def test_positions_of_enough_digits_are_accepted(rows: list[str], tmp_path: Path
     text = "\n".join(("t,lat,lon", *rows, ""))
     _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
     assert len(messages) == len(rows)
+
+
+def held_rows(places: list[tuple[float, float]], times: int) -> list[str]:
+    """Rows of a table in which each place comes several times, as beside a faster sensor."""
+    rows = [place for place in places for _ in range(times)]
+    return [f"{0.1 * k:.1f},{latitude},{longitude}" for k, (latitude, longitude) in enumerate(rows)]
+
+
+def test_a_position_that_the_log_holds_is_one_message(tmp_path: Path) -> None:
+    """Each new position has the time of its first row; the age of the first one is unknown."""
+    text = "\n".join(("t,lat,lon", *held_rows([at(k) for k in range(30)], 10), ""))
+    result, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
+    assert [stamp_ns_of(m) // 10**9 for m in messages] == list(range(1, 30))
+    assert any("gnss_pose: the log holds each pose for about 10 rows" in note for note in result.notes)
+
+
+def test_a_position_that_stays_at_standstill_is_not_held(tmp_path: Path) -> None:
+    places = [at(0)] * 200 + [at(k) for k in range(60)]
+    _, messages = import_csv(
+        tmp_path, "\n".join(("t,lat,lon", *held_rows(places, 1), "")), {"gnss_pose": {**CSV, **STDDEV}}
+    )
+    assert len(messages) == len(places)

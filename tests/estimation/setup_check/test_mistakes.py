@@ -426,14 +426,18 @@ def test_a_mistake_is_named_though_fixes_state_far_more_noise_than_they_have(nam
 
 
 @pytest.mark.parametrize("period", [1.0, 3.0])  # s
-def test_fixes_that_a_log_holds_until_the_next_one_are_not_called_frozen(period: float) -> None:
+def test_fixes_that_a_log_holds_until_the_next_one_are_called_held_and_neither_frozen_nor_late(
+    period: float,
+) -> None:
     log = make_drive(fix_rate=1.0 / period, has_heading=False)
     (fixes,) = log.fixes
     t = np.arange(fixes.t[0], fixes.t[-1], 0.05)
     repeated = replace(fixes.select(np.searchsorted(fixes.t, t, side="right") - 1), t=t)
     result = check(replace(log, fixes=(repeated,)))
     assert not any("repeats" in question.what for question in result.undetermined)
-    assert {cause.cause for cause in result.causes} <= {"source_delay"}
+    (cause,) = result.causes
+    assert cause.cause == "position_resolution"
+    assert f"about {20.0 * period:.0f} times" in cause.evidence
 
 
 def test_a_course_over_ground_is_no_heading() -> None:

@@ -20,10 +20,15 @@ from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import unwrap_angles
 from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
+from trackslip_estimation.setup_check.equal_runs import new_readings
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
 _MIN_ROWS = 3  # rows of a topic, which need more than one time
 _EARTH_RADIUS = 6.37e6  # m per radian of latitude
+_HELD = {  # role → columns that a log may hold
+    **dict.fromkeys(("pose", "fix"), (("latitude", "longitude"), ("x", "y"))),
+    "heading": (("yaw",), ("heading",), QUATERNION[2:]),
+}
 _MIN_ZERO_SHARE, _MIN_RUNS = 0.75, 10  # of zeros in a column, and runs of other values, for a note
 
 
@@ -85,7 +90,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     columns = _columns(table, topic, stamps_ns)
     spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
     present = np.isfinite([columns[name] for name in role.required_fields(columns)])
-    chosen = SelectedRows(present.any(axis=0) & _is_new(table, topic))
+    chosen = SelectedRows(present.any(axis=0) & _is_new(table, topic, columns))
     chosen.reject(~present.all(axis=0), "some cells are blank")
     chosen.reject(stamps_ns == NO_TIME, "no time")
     for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():
@@ -279,14 +284,14 @@ def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     return times_ns
 
 
-def _is_new(table: Table, topic: CsvTopic) -> BoolArray:
-    """(rows,) whether a row holds a new message: all, or those where the marking column changes.
+def _is_new(table: Table, topic: CsvTopic, columns: Values) -> BoolArray:
+    """(rows,) whether a row holds a new message: where the marking column changes, or a held reading.
 
     The first row does not count as a change: the age of its value is unknown.
     """
     is_new = np.zeros(len(table.lines), np.bool_)
     if topic.new_when_changes is None:
-        return ~is_new
+        return _is_new_reading(table, topic, columns)
     marks = table.texts[topic.new_when_changes]
     marked = np.flatnonzero(marks != "")
     is_new[marked[1:]] = marks[marked[1:]] != marks[marked[:-1]]
@@ -294,6 +299,24 @@ def _is_new(table: Table, topic: CsvTopic) -> BoolArray:
         raise InputError(
             f"{table.path}: column '{topic.new_when_changes}' never changes; "
             "accepted as new_when_changes: one that does"
+        )
+    return is_new
+
+
+def _is_new_reading(table: Table, topic: CsvTopic, columns: Values) -> BoolArray:
+    """(rows,) whether a row holds a new position or heading: all, but where the log holds the last one."""
+    is_new = np.ones(len(table.lines), np.bool_)
+    names = next((names for names in _HELD.get(topic.role, ()) if columns.keys() >= set(names)), ())
+    readings = np.array([columns[name] for name in names])
+    rows = np.flatnonzero(np.isfinite(readings).all(axis=0)) if names else np.arange(0)
+    if rows.size:
+        is_new[rows] = new_readings(readings.T[rows])
+    if not is_new.all():
+        per_reading = len(rows) / int(is_new[rows].sum())
+        is_new[rows[0]] = False
+        table.notes.append(
+            f"{topic.name}: the log holds each {topic.role} for about {per_reading:.0f} rows; those that "
+            "repeat it are passed over (new_when_changes: a column that shows new ones)"
         )
     return is_new
 

@@ -85,7 +85,9 @@ def _run_steps(log: Log, findings: _Findings) -> list[str]:
         findings.add(causes)
     findings.add(clocks.judge_fractions(log))
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
-    log = replace(log, fixes=tuple(with_measured_noise(source) for source in log.fixes))
+    fixes, causes = places.drop_held(log.fixes)
+    findings.add(causes)
+    log = replace(log, fixes=tuple(with_measured_noise(source) for source in fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         findings.add([], [_STANDSTILL_QUESTION])
         return []

@@ -10,6 +10,7 @@ from trackslip_common.arrays import BoolArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
 from trackslip_estimation.setup_check.drive import Drive
+from trackslip_estimation.setup_check.equal_runs import new_readings
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, MeasuredValue, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import WINDOW
@@ -264,6 +265,25 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
             )
         )
     return causes
+
+
+def drop_held(fixes: Sequence[Fixes]) -> tuple[tuple[Fixes, ...], list[Cause]]:
+    """The sources with each place once, and a cause for each whose last place a logger holds.
+
+    A held place is late by half the time for which it is held.
+    """
+    rows = [new_readings(source.places) for source in fixes]
+    causes = []
+    for source, is_new in zip(fixes, rows, strict=True):
+        if not is_new.all():
+            times = len(is_new) / int(is_new.sum())
+            evidence = f"each of its places comes about {times:.0f} times, under new stamps: it is held"
+            remedy = (
+                "Record the topic or log of the receiver itself, each fix once (mapping of a CSV log: "
+                "new_when_changes)"
+            )
+            causes.append(Cause("position_resolution", source.name, evidence, odds_of(20.0), remedy))
+    return tuple(source.select(is_new) for source, is_new in zip(fixes, rows, strict=True)), causes
 
 
 def _judge_separation(fixes: Sequence[Fixes]) -> list[Cause]:
