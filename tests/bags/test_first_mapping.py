@@ -42,6 +42,7 @@ def mapping_of(folder: Path, names: str, rows: str = "") -> FirstMapping:
         ("t_s,left_wheel_angle_deg,right_wheel_angle_deg", {"left_position": "left_wheel_angle_deg, deg"}, 0),
         ("t_s,v_left_mps,v_right_mps,left_ticks,right_ticks", {"left_velocity": "v_left_mps, m/s"}, 0),
         ("t_s,left_mps,right_mps,east_m,north_m", {"x": "east_m, m", "y": "north_m, m"}, 1),
+        ("t_s,left_mps,right_mps,UTM_E,UTM_N", {"x": "UTM_E, m", "y": "UTM_N, m"}, 3),
         ("t_s,left_mps,right_mps,lat_deg,lon_deg,x_m,y_m", {"latitude": "lat_deg, deg"}, 1),
     ],
 )
@@ -69,6 +70,11 @@ def test_columns_are_found_by_their_names(
         ("timestamp", "120000000", "120004000", "us"),
         ("t", "100", "120", "ms"),
         ("t", "12.00", "12.02", "s"),
+        ("Elapsed Time (s)", "12.00", "12.02", "s"),
+        ("gps_tow", "390600.00", "390600.02", "s"),
+        ("time [hh:mm:ss]", "23:59:59.98", "00:00:00.00", "hh:mm:ss"),
+        ("Uhrzeit", "23:59:59.98", "00:00:00.00", "hh:mm:ss"),
+        ("Timestamp", "11/20/2026 2:30:00 PM", "11/20/2026 2:30:00 PM", "iso8601"),
         ("time_ms", "100", "100.02", "ms"),
     ],
 )
@@ -102,6 +108,10 @@ def test_times_in_two_columns_are_added(names: str, row: str, unit: object, tmp_
         ("Geschwindigkeit_links", "Geschwindigkeit_rechts", "velocity", "m/s"),
         ("Kettengeschwindigkeit links [km/h]", "Kettengeschwindigkeit rechts [km/h]", "velocity", "km/h"),
         ("Drehzahl_links", "Drehzahl_rechts", "velocity", "rpm"),
+        ("Drehzahl Kettenmotor links", "Drehzahl Kettenmotor rechts", "velocity", "rpm"),
+        ("Kette links [U/min]", "Kette rechts [U/min]", "velocity", "rpm"),
+        ("Drive Motor Speed L [rpm]", "Drive Motor Speed R [rpm]", "velocity", "rpm"),
+        ("l_speed_mm_s", "r_speed_mm_s", "velocity", "mm/s"),
         ("vitesse_gauche", "vitesse_droite", "velocity", "m/s"),
         ("Kette_links_km/h", "Kette_rechts_km/h", "velocity", "km/h"),
         ("wheel_speed[1]", "wheel_speed[0]", "velocity", "rad/s"),  # PX4: 0 is right
@@ -129,6 +139,11 @@ def test_sides_are_found_in_the_words_of_the_log(
         ("gyro_rad[2]", "0.1", "angular_velocity_z", {"unit": "rad/s", "scale": -1.0}),
         ("/imu/angular_velocity/z", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
         ("Breite", "48.1", "latitude", {"unit": "deg"}),
+        ("Rot. Rate Z [deg/s]", "0.1", "angular_velocity_z", {"unit": "deg/s"}),
+        ("omega", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
+        ("Azimut", "270", "heading", {"unit": "deg"}),
+        ("lat", "4806.012", "latitude", {"unit": "ddmm.mmmm"}),
+        ("Latitude [ddmm.mmmm]", "4806.012", "latitude", {"unit": "ddmm.mmmm"}),
         ("gps.lat", "481000000", "latitude", {"unit": "deg", "scale": 1e-7}),
         ("gps.latitude_deg", "48.1", "latitude", {"unit": "deg"}),
         ("heading", "270", "heading", {"unit": "deg"}),
@@ -148,6 +163,12 @@ def test_other_quantities_are_found_with_their_scales(
 )
 def test_commands_courses_and_deviations_are_not_used(name: str, tmp_path: Path) -> None:
     assert mapping_of(tmp_path, f"t_s,v_left_mps,v_right_mps,{name},lon").unused == (name, "lon")
+
+
+def test_degrees_and_minutes_are_those_of_both_coordinates(tmp_path: Path) -> None:
+    """A longitude below 1° 80′ could be one in degrees."""
+    columns = mapping_of(tmp_path, "t,v_left,v_right,lat,lon", "0,1,1,5128.5,12.25").columns
+    assert columns["longitude"] == "lon, ddmm.mmmm"
 
 
 def test_decimal_commas_are_stated(tmp_path: Path) -> None:

@@ -485,3 +485,17 @@ def test_times_that_go_back_are_shown_to_the_digit_that_differs(
     sides = {f"{side}_velocity": {"column": side[0], "unit": "rad/s"} for side in ("left", "right")}
     with pytest.raises(InputError, match=re.escape(f"line 3, column 't' goes back from {between};")):
         import_csv(tmp_path, text, {"sprockets": sides}, time={"column": "t", "unit": unit})
+
+
+def test_times_of_day_go_on_after_midnight(tmp_path: Path) -> None:
+    log = "t,l,r\n23:59:59.9,1,1\n00:00:00.15,1,1\n0:00:01,1,1\n"
+    time = {"column": "t", "unit": "hh:mm:ss"}
+    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time)
+    stamps = [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]]
+    assert stamps == pytest.approx([86399.9, 86400.15, 86401.0])
+
+
+def test_a_time_of_day_that_goes_back_is_refused(tmp_path: Path) -> None:
+    time = {"column": "t", "unit": "hh:mm:ss"}
+    with pytest.raises(InputError, match="goes back from 43200 s to 43199 s"):
+        imported(tmp_path, "t,l,r\n12:00:00,1,1\n11:59:59,1,1\n", {"sprockets": WHEELS}, time=time)

@@ -149,18 +149,27 @@ def test_positions_of_enough_digits_are_accepted(rows: list[str], tmp_path: Path
     assert len(messages) == len(rows)
 
 
+def test_a_place_of_no_latitude_is_refused_with_a_missing_value(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"9999 deg is no latitude; .*missing: 9999, or another unit"):
+        import_csv(tmp_path, "t,lat,lon\n0,9999,9999\n", {"gnss_pose": {**CSV, **STDDEV}})
+
+
 def held_rows(places: list[tuple[float, float]], times: int) -> list[str]:
     """Rows of a table in which each place comes several times, as beside a faster sensor."""
     rows = [place for place in places for _ in range(times)]
     return [f"{0.1 * k:.1f},{latitude},{longitude}" for k, (latitude, longitude) in enumerate(rows)]
 
 
-def test_a_position_that_the_log_holds_is_one_message(tmp_path: Path) -> None:
+@pytest.mark.parametrize("digits", [9, 5])
+def test_a_position_that_the_log_holds_is_one_message(digits: int, tmp_path: Path) -> None:
     """Each new position has the time of its first row; the age of the first one is unknown."""
-    text = "\n".join(("t,lat,lon", *held_rows([at(k) for k in range(30)], 10), ""))
-    result, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
-    assert [stamp_ns_of(m) // 10**9 for m in messages] == list(range(1, 30))
-    assert any("gnss_pose: the log holds each pose for about 10 rows" in note for note in result.notes)
+    places = [(round(at(k)[0], digits), round(at(k)[1], digits)) for k in range(60)]
+    text = "\n".join(("t,lat,lon", *held_rows(places, 10), ""))
+    coarse = {"gnss_pose": {**CSV, "stddev": {"x": 1.0, "y": 1.0}}}
+    result, messages = import_csv(tmp_path, text, coarse)
+    changes = [k for k in range(1, 60) if places[k] != places[k - 1]]
+    assert [stamp_ns_of(m) // 10**9 for m in messages] == changes
+    assert any("gnss_pose: the log holds each pose for about" in note for note in result.notes)
 
 
 def test_a_position_that_stays_at_standstill_is_not_held(tmp_path: Path) -> None:
@@ -169,3 +178,21 @@ def test_a_position_that_stays_at_standstill_is_not_held(tmp_path: Path) -> None
         tmp_path, "\n".join(("t,lat,lon", *held_rows(places, 1), "")), {"gnss_pose": {**CSV, **STDDEV}}
     )
     assert len(messages) == len(places)
+
+
+def test_degrees_and_minutes_are_degrees(tmp_path: Path) -> None:
+    """As a receiver writes them: 33° 53.34′ south, 151° 11.58′ east."""
+    minutes = {
+        "latitude": {"column": "lat", "unit": "ddmm.mmmm", "scale": -1},
+        "longitude": {"column": "lon", "unit": "ddmm.mmmm"},
+    }
+    text = "t,lat,lon\n0,3353.34,15111.58\n1,3353.3406,15111.58\n"
+    result, (first, second) = import_csv(tmp_path, text, {"gnss_pose": {**minutes, **STDDEV}})
+    assert result.datum is not None
+    assert result.datum[:2] == pytest.approx(SITE)
+    assert second.pose.pose.position.y - first.pose.pose.position.y == pytest.approx(-1.109, abs=0.001)
+
+
+def test_degrees_and_minutes_that_are_declared_degrees_are_refused_with_their_unit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"3353\.34 deg is no latitude; .*unit: ddmm\.mmmm in the mapping"):
+        import_csv(tmp_path, "t,lat,lon\n0,3353.34,15111.58\n", {"gnss_pose": {**CSV, **STDDEV}})

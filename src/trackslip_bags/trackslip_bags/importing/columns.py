@@ -13,6 +13,8 @@ from trackslip_common.units import UNITS, factor_to_si
 from trackslip_common.yaml_tree import check_keys, flag, number, positive_number, section, texts
 
 ISO = "iso8601"
+CLOCK = "hh:mm:ss"  # time of day, which begins again at midnight
+DEGREES_MINUTES = "ddmm.mmmm"  # of NMEA 0183: 4812.5 is 48° 12.5′
 FIRST = "first"  # as an origin: the first value of the column
 
 _OPTIONAL_KEYS = ("scale", "origin", "missing")
@@ -30,6 +32,7 @@ class Column:
     turn: float = 0.0  # one turn of an angle, in that unit
     missing: tuple[float, ...] = ()  # values that mark missing ones, in the column's own unit
     increments: bool = False  # each row holds the change since the row before
+    degrees_minutes: bool = False  # written as DEGREES_MINUTES; its own unit is deg
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,11 @@ class TimeColumn:
         """Whether it holds dates."""
         return self.units[0] == ISO
 
+    @property
+    def is_clock(self) -> bool:
+        """Whether it holds times of day."""
+        return self.units[0] == CLOCK
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -69,7 +77,9 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
     check_keys(
         where, tree, ("column", "unit") if quantities else ("column",), (*_OPTIONAL_KEYS, "increments")
     )
-    quantity, factor = factor_to_si(f"{where}.unit", tree["unit"], *quantities) if quantities else ("", 1.0)
+    degrees_minutes = quantities == ("angle",) and tree["unit"] == DEGREES_MINUTES
+    unit = "deg" if degrees_minutes else tree.get("unit")
+    quantity, factor = factor_to_si(f"{where}.unit", unit, *quantities) if quantities else ("", 1.0)
     origin = tree.get("origin", 0.0)
     return Column(
         names=texts(f"{where}.column", tree["column"]),
@@ -79,6 +89,7 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         turn=math.tau / factor if quantity == "angle" else 0.0,
         missing=_missing_values(f"{where}.missing", tree.get("missing", [])),
         increments=flag(f"{where}.increments", tree.get("increments", False)),
+        degrees_minutes=degrees_minutes,
     )
 
 
@@ -90,7 +101,8 @@ def _missing_values(where: str, value: Any) -> tuple[float, ...]:
 def read_time(where: str, value: Any) -> TimeColumn:
     """One column or two that hold the time.
 
-    ``{column: t, unit: ms}``, ``{column: t, unit: iso8601, zone: "+02:00"}``, or of two columns
+    ``{column: t, unit: ms}``, ``{column: t, unit: hh:mm:ss}``,
+    ``{column: t, unit: iso8601, zone: "+02:00"}``, or of two columns
     ``{column: [secs, nsecs], unit: [s, ns]}``, ``{column: [date, time], unit: iso8601}``.
 
     Raises:
@@ -100,13 +112,17 @@ def read_time(where: str, value: Any) -> TimeColumn:
     is_iso = tree.get("unit") == ISO
     check_keys(where, tree, ("column", "unit"), ("zone",) if is_iso else ())
     names, zone = texts(f"{where}.column", tree["column"]), tree.get("zone", "Z")
-    accepted = (*UNITS["time"], ISO)
+    accepted = (*UNITS["time"], ISO, CLOCK)
     units = tuple(map(str, tree["unit"])) if isinstance(tree["unit"], list) else (str(tree["unit"]),)
     for unit in units:
         if unit not in accepted:
             like = did_you_mean(unit, accepted)
             raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {', '.join(accepted)}")
-    if len(names) > 2 or (not is_iso and len(units) != len(names)) or (len(units) > 1 and ISO in units):
+    if (
+        len(names) > 2
+        or (not is_iso and len(units) != len(names))
+        or (len(units) > 1 and {ISO, CLOCK} & set(units))
+    ):
         raise InputError(
             f"{where}: {len(names)} columns and {len(units)} units; accepted: one of each, "
             "as column: [secs, nsecs], unit: [s, ns], or two columns of unit iso8601"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_bags.importing.columns import FIRST, Column, Spread, TimeColumn
+from trackslip_bags.importing.columns import DEGREES_MINUTES, FIRST, Column, Spread, TimeColumn
 from trackslip_bags.importing.csv_fields import place_of, values_of
 from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_table
 from trackslip_bags.importing.local import LocalFrame
@@ -23,6 +23,7 @@ from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, M
 from trackslip_estimation.setup_check.equal_runs import new_readings
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
+_DAY_NS = 86_400 * 10**9
 _MIN_ROWS = 3  # rows of a topic, which need more than one time
 _EARTH_RADIUS = 6.37e6  # m per radian of latitude
 _HELD = {  # role → columns that a log may hold
@@ -157,8 +158,11 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
 
 
 def _present_values(numbers: FloatArray, column: Column) -> FloatArray:
-    """(n,) values or sums of increments; nan where the number marks a missing one."""
+    """(n,) values in the column's own unit, or sums of increments; nan where a number marks none."""
     values = np.where(np.isin(numbers, column.missing), np.nan, numbers) if column.missing else numbers
+    if column.degrees_minutes:
+        degrees = np.trunc(values / 100.0)
+        values = degrees + (values - 100.0 * degrees) / 60.0
     return np.where(np.isnan(values), np.nan, np.nancumsum(values)) if column.increments else values
 
 
@@ -267,7 +271,7 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
 
 def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     """(rows,) times, ns; NO_TIME where blank."""
-    raw_ns = table.times[column]
+    raw_ns = _continued(table.times[column]) if column.is_clock else table.times[column]
     times_ns = np.where(raw_ns == NO_TIME, NO_TIME, raw_ns + start_ns)
     bad = np.flatnonzero((raw_ns != NO_TIME) & ((times_ns < 0) | (times_ns >= LIMIT_NS)))
     if bad.size:
@@ -282,6 +286,14 @@ def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
             f"{place}: {seconds:.12g} s is too late for a stamp{like}; accepted: less than 2^31 s"
         )
     return times_ns
+
+
+def _continued(times_ns: IntArray) -> IntArray:
+    """Times of day (rows,), ns, that go on after midnight; NO_TIME stays."""
+    continued, has_time = times_ns.copy(), times_ns != NO_TIME
+    midnights = np.cumsum(np.diff(times_ns[has_time], prepend=0) < -_DAY_NS // 2)
+    continued[has_time] += _DAY_NS * midnights
+    return continued
 
 
 def _is_new(table: Table, topic: CsvTopic, columns: Values) -> BoolArray:
@@ -328,7 +340,10 @@ def _is_at_origin(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArra
         bad = np.flatnonzero(np.abs(degrees) > limit)
         if bad.size:
             place = f"{table.path}: line {table.lines[bad[0]]}, column '{topic.columns[name].names[0]}'"
-            accepted = f"-{limit:g} … {limit:g} deg (or another unit in the mapping)"
-            raise InputError(f"{place}: {degrees[bad[0]]:g} deg is no {name}; accepted: {accepted}")
+            value = float(degrees[bad[0]])
+            is_like_minutes = abs(value) < 100.0 * (limit + 1.0) and abs(value) % 100.0 < 60.0
+            other = f"unit: {DEGREES_MINUTES}" if is_like_minutes else f"missing: {value:g}, or another unit"
+            accepted = f"-{limit:g} … {limit:g} deg (or {other} in the mapping)"
+            raise InputError(f"{place}: {value:g} deg is no {name}; accepted: {accepted}")
     nowhere: BoolArray = (columns["latitude"] == 0.0) & (columns["longitude"] == 0.0)
     return nowhere

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from trackslip_bags.importing.columns import ISO
+from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, ISO
 from trackslip_bags.importing.csv_table import DECIMAL_COMMA
 from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split_cells
 from trackslip_bags.importing.log_kinds import require_table
@@ -28,20 +28,25 @@ _LINES = 2000  # that are read for names and values
 
 # Spellings of units in names, which cannot hold / and °.
 _UNIT_SPELLINGS = {
+    **{unit.replace("/", "_"): unit for units in UNITS.values() for unit in units if unit[0] not in "1°"},
     "kmh": "km/h",
     "kph": "km/h",
     "mps": "m/s",
-    "m_s": "m/s",
-    "rad_s": "rad/s",
     "rads": "rad/s",
-    "deg_s": "deg/s",
     "degs": "deg/s",
+    "degps": "deg/s",
     "dps": "deg/s",
     "sec": "s",
-    "km_h": "km/h",
+    "u/min": "rpm",
+    "tr/min": "rpm",
 }
 
 
+_UNITS = {  # by quantity, those that are no factor too
+    **UNITS,
+    "time": {*UNITS["time"], CLOCK},
+    "angle": {*UNITS["angle"], DEGREES_MINUTES},
+}
 _STATED_UNIT = re.compile(
     r"[\[(]\s*([^\])]+?)\s*[\])]|[\s_]([^\s_\[(]*[/°][^\s_\])]*)$"
 )  # in brackets, or at the end
@@ -62,8 +67,8 @@ class _FieldKind(NamedTuple):
 _SIDES = {"left": "left|links|linke[rs]?|gauche|l", "right": "right|rechts|rechte[rs]?|droite?|r"}
 _SIDE_NUMBERS = {"left": "0", "right": "1"}  # a guess, reported as such
 _PART = (
-    "wheels?|tracks?|sprockets?|motors?|joints?|states?|field|measured|meas|actual|ist|"
-    "ketten?|rad|antrieb|chenille|roue|moteur"
+    "wheels?|tracks?|sprockets?|drive|motors?|joints?|states?|field|measured|meas|actual|ist|"
+    "ketten?(?:motor)?|rad|antrieb|chenille|roue|moteur"
 )
 _RPM = "rpm|drehzahl"
 _SPEED = f"speed|vel|velocity|v|w|omega|geschwindigkeit|geschw|vitesse|{_RPM}"
@@ -72,7 +77,7 @@ _INCREMENTS = "delta|d|inc|increments?"
 _POSITION = f"{_COUNTS}|pos|position|angle|winkel"
 _DISTANCE = "dist|distance|strecke|weg"
 _TIMES = "time|stamp|timestamp|date_?time|zeit|zeitstempel|uhrzeit|temps|horodatage"
-_CLOCK = "(?:(?:ros|rosbag|header|field|gps|unix|utc|system|log|sample|local|epoch)_)*"
+_CLOCK = "(?:(?:ros|rosbag|header|field|gps|unix|utc|system|log|sample|local|epoch|elapsed)_)*"
 _ANY = r"(?:\w+_)?"
 _NO_MEASUREMENT = re.compile(
     "(?:.*_)?(?:cmd|command(?:ed)?|set|setpoint|sp|target|ref|desired|goal|home|soll|consigne|"
@@ -113,7 +118,13 @@ def _side_kinds(side: str) -> tuple[_FieldKind, ...]:
 
 # For each field, the first kind that has a column is used. The third axis of ArduPilot and PX4 points down.
 _FIELD_KINDS = (
-    _FieldKind("", "time", rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc", ("time",), "s"),
+    _FieldKind(
+        "",
+        "time",
+        rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc|(?:gps_)?i?tow|elapsed",
+        ("time",),
+        "s",
+    ),
     *_side_kinds("left"),
     *_side_kinds("right"),
     _FieldKind("imu/data_raw", "angular_velocity_z", rf"{_ANY}gyr_z", ("angular rate",), "rad/s", True, -1.0),
@@ -123,7 +134,8 @@ _FIELD_KINDS = (
     _FieldKind(
         "imu/data_raw",
         "angular_velocity_z",
-        rf"(?:imu_?\d*_)?[gw]_?z|{_ANY}(?:(?:gyro|omega|rate|angular_velocity)_?z|(?:yaw|turn|gier|dreh)_?rate|"
+        rf"(?:imu_?\d*_)?[gw]_?z|omega|"
+        rf"{_ANY}(?:(?:gyro|omega|rate|angular_velocity)_?z|(?:yaw|turn|gier|dreh|rot(?:ation)?)_?rate(?:_z)?|"
         rf"giergeschwindigkeit|drehgeschwindigkeit|vitesse_(?:de_)?(?:lacet|rotation))",
         ("angular rate",),
         "rad/s",
@@ -142,18 +154,18 @@ _FIELD_KINDS = (
     _FieldKind(
         "gnss_pose",
         "x",
-        r"x|e|(?:utm_)?east(?:ing)?|rechtswert|ost(?:wert)?|(?:gnss|gps|utm|(?:\w+_)?pos(?:ition)?)_x",
+        r"x|e|(?:utm_)?east(?:ing)?|rechtswert|ost(?:wert)?|(?:gnss|gps|utm)_[xe]|(?:\w+_)?pos(?:ition)?_x",
         ("length",),
         "m",
     ),
     _FieldKind(
         "gnss_pose",
         "y",
-        r"y|n|(?:utm_)?north(?:ing)?|hochwert|nord(?:wert)?|(?:gnss|gps|utm|(?:\w+_)?pos(?:ition)?)_y",
+        r"y|n|(?:utm_)?north(?:ing)?|hochwert|nord(?:wert)?|(?:gnss|gps|utm)_[yn]|(?:\w+_)?pos(?:ition)?_y",
         ("length",),
         "m",
     ),
-    _FieldKind("heading", "heading", rf"{_ANY}(?:heading|hdg|hdt|steuerkurs)", ("angle",), "deg"),
+    _FieldKind("heading", "heading", rf"{_ANY}(?:heading|hdg|hdt|steuerkurs|azimuth?)", ("angle",), "deg"),
 )
 _TWO_COLUMN_TIMES = (  # times in two columns, and their units
     (rf"(?:{_CLOCK}stamp_)?secs?", rf"(?:{_CLOCK}stamp_)?n(?:ano)?secs?", ("s", "ns")),
@@ -275,13 +287,16 @@ def _find_fields(table: _Table) -> dict[str, _FieldColumns]:
         column = None if kind.field in fields else _find_column(kind, table)
         if column is not None:
             fields[kind.field] = column
+    if any(fields[name].units == (DEGREES_MINUTES,) for name in _LARGEST_ANGLES if name in fields):
+        minutes = {name: fields[name] for name in _LARGEST_ANGLES if name in fields}
+        fields |= {name: one._replace(units=(DEGREES_MINUTES,)) for name, one in minutes.items()}
     return fields | ({"time": two_columns} if (two_columns := _two_column_time(table)) else {})
 
 
 def _find_column(kind: _FieldKind, table: _Table) -> _FieldColumns | None:
     for name in table.cells:
         for stem, unit in _interpretations(name):
-            is_of_kind = not unit or any(unit in UNITS[quantity] for quantity in kind.quantities)
+            is_of_kind = not unit or any(unit in _UNITS[quantity] for quantity in kind.quantities)
             if is_of_kind and re.fullmatch(kind.names, stem) and not _NO_MEASUREMENT.fullmatch(stem):
                 return _field_columns(kind, table, name, stem, unit)
     return None
@@ -295,7 +310,7 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
     if not kind.is_certain and words[-1] == _SIDE_NUMBERS.get(side):
         guesses.append(f"side of {name}: {side}")
     unit_by_values, is_known = _unit_by_values(kind, table, name)
-    if is_known and (unit_by_values == ISO or not unit):
+    if is_known and (unit_by_values in (ISO, CLOCK) or not unit):
         unit = unit_by_values
     elif is_position and not unit and any(re.fullmatch(_COUNTS, word) for word in words):
         unit, scale = "rev", 1.0 / _COUNTS_PER_TURN
@@ -303,8 +318,13 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
     elif not unit:
         unit = unit_by_values
         guesses += [] if kind.is_certain else [f"unit of {name}: {unit}"]
-    if np.abs(table.numbers(name)).max(initial=0.0) > _LARGEST_ANGLES.get(kind.field, np.inf):
-        scale = _SCALE_OF_INTEGER_ANGLE
+    values = np.abs(table.numbers(name))
+    limit = _LARGEST_ANGLES.get(kind.field, np.inf)
+    if unit != DEGREES_MINUTES and values.max(initial=0.0) > limit:
+        if (values == np.round(values)).all():
+            scale = _SCALE_OF_INTEGER_ANGLE
+        elif values.max() < 100.0 * (limit + 1.0) and (values % 100.0 < 60.0).all():
+            unit, guesses = DEGREES_MINUTES, [f"unit of {name}: {DEGREES_MINUTES}"]
     has_increments = is_position and any(re.fullmatch(_INCREMENTS, word) for word in words)
     return _FieldColumns(kind.topic, (name,), (unit,), tuple(guesses), scale, has_increments)
 
@@ -315,7 +335,10 @@ def _unit_by_values(kind: _FieldKind, table: _Table, name: str) -> tuple[str, bo
         return kind.usual, False
     if unit := likely_unit(table.cells[name][0]):
         return unit, True
-    steps = np.diff(table.numbers(name))
+    numbers = table.numbers(name)
+    if not numbers.size:
+        return ISO, True  # import states how a date is written
+    steps = np.diff(numbers)
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     units = (unit for unit in ("s", "ms", "us", "ns") if period * UNITS["time"][unit] <= _LONGEST_PERIOD)
     return next(units, kind.usual), False
@@ -356,7 +379,7 @@ def _interpretations(name: str) -> Iterator[tuple[str, str]]:
     normalised = _normalised_name(name)
     if stated := _STATED_UNIT.search(name):
         unit = stated[1] or stated[2]
-        yield _normalised_name(name[: stated.start()]), _UNIT_SPELLINGS.get(unit.lower(), unit)
+        yield _normalised_name(name[: stated.start()]), _unit_of_text(unit)
     unit_of = {
         **_UNIT_SPELLINGS,
         **{unit: unit for units in UNITS.values() for unit in units if unit.isalpha()},
@@ -365,6 +388,14 @@ def _interpretations(name: str) -> Iterator[tuple[str, str]]:
         if normalised.endswith(f"_{end}"):
             yield normalised.removesuffix(f"_{end}"), unit
     yield normalised, ""
+
+
+def _unit_of_text(text: str) -> str:
+    """The unit that a name states in brackets or at its end."""
+    lower = text.lower()
+    if re.match("d+mm", lower):
+        return DEGREES_MINUTES
+    return CLOCK if lower.startswith("hh:mm") else _UNIT_SPELLINGS.get(lower, text)
 
 
 def _source_parameters(topics: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import datetime, timezone
 from decimal import Decimal
 
-from trackslip_bags.importing.columns import ISO, TimeColumn, zone_offset_ns
+from trackslip_bags.importing.columns import CLOCK, ISO, TimeColumn, zone_offset_ns
 from trackslip_common.units import UNITS
 
 _SCALES = {unit: Decimal(round(seconds * 1e9)) for unit, seconds in UNITS["time"].items()}  # ns
@@ -17,6 +17,7 @@ _ISO = re.compile(
     r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
 )
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
+_CLOCK = re.compile(r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _PLAUSIBLE_NS = range(10**18, 2**31 * 10**9)  # ns of plausible dates, from 2001 on
 _MAX_NS = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
@@ -28,6 +29,8 @@ def accepted_text(cell: str, column: TimeColumn) -> str:
     """Text of what a column accepts instead of ``cell``, with another unit if the cell fits it."""
     if column.is_iso:
         return "as 2026-11-20T14:30:00.25+01:00"
+    if column.is_clock:
+        return "as 14:30:00.25"
     return f"a number of {' + '.join(column.units)}{_other_unit(cell)}"
 
 
@@ -39,6 +42,8 @@ def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
     """
     if column.is_iso:
         return _iso_ns(" ".join(cells), column.zone_ns)
+    if column.is_clock:
+        return _clock_ns(cells[0])
     return sum(_number_ns(cell, unit) for cell, unit in zip(cells, column.units, strict=True))
 
 
@@ -75,6 +80,14 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
     return stamp_ns
 
 
+def _clock_ns(cell: str) -> int:
+    match = _CLOCK.fullmatch(cell)
+    if match is None:
+        raise ValueError(cell)
+    hours, minutes, seconds = (int(part) for part in match.groups()[:3])
+    return (3600 * hours + 60 * minutes + seconds) * 10**9 + int((match[4] or "0").ljust(9, "0"))
+
+
 def _date_of(cell: str) -> re.Match[str] | None:
     """Parts of a date and time of day, also of the form 20.11.2026 14:30; None of other texts."""
     return _ISO.fullmatch(cell) or _ISO.fullmatch(
@@ -84,15 +97,17 @@ def _date_of(cell: str) -> re.Match[str] | None:
 
 def unit_hint(value_ns: int, column: TimeColumn) -> str:
     """A hint for a time beyond the range of stamps: the unit that makes it a plausible date."""
-    if column.is_iso or len(column.units) > 1:
+    if column.is_iso or column.is_clock or len(column.units) > 1:
         return ""
     return _other_unit(str(Decimal(value_ns) / _SCALES[column.units[0]]))
 
 
 def likely_unit(cell: str) -> str:
-    """The unit in which a cell is a plausible date; empty where there is none."""
+    """The unit in which a cell is a plausible date or time of day; empty where there is none."""
     if _date_of(cell):
         return ISO
+    if _CLOCK.fullmatch(cell):
+        return CLOCK
     for unit in ("s", "ms", "us", "ns"):
         with suppress(ValueError):
             if _number_ns(cell, unit) in _PLAUSIBLE_NS:

@@ -10,10 +10,11 @@ from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.setup_check.log import ComplexArray
 
 _LEAST_VALUES = 10  # that a source holds
-_LEAST_HOLD, _LEAST_SINGLE_HOLD = 2.0, 8.0  # rows of each, by the median: of several coordinates, and of one
+_LEAST_HOLD = 2.0  # rows of each, by the median, where all coordinates change at once
+_LEAST_REGULAR_HOLD = 8.0  # rows of the shortest, where they may not
 _LEAST_TOGETHER = 0.5  # share of the changes that all coordinates make at once
 _LEAST_CHANGE = 1e-3  # share of the other one; a rounded coordinate of a map that is turned changes by less
-_LEAST_MULTIPLES = 0.8  # share of the values that last for a multiple of the median
+_LEAST_MULTIPLES = 0.8  # share of the values that last for a multiple of the shortest
 
 
 class Runs(NamedTuple):
@@ -37,8 +38,8 @@ def equal_runs(values: FloatArray | ComplexArray) -> Runs:
 def new_readings(values: FloatArray) -> BoolArray:
     """(n,) whether a reading (n, k) is new; all are, unless a logger holds the last one over several rows.
 
-    All coordinates of held readings change at once, those of rounded ones one by one. A single coordinate is
-    held if it changes after multiples of one number of rows.
+    Held readings change after multiples of one number of rows. All their coordinates change at once, unless
+    they are rounded.
     """
     changes = np.abs(np.diff(values, axis=0, prepend=np.nan))
     is_new: BoolArray = (changes != 0.0).any(axis=1)
@@ -46,11 +47,10 @@ def new_readings(values: FloatArray) -> BoolArray:
     lengths = np.diff(first, append=len(values))
     if len(first) < _LEAST_VALUES:
         return np.ones_like(is_new)
-    usual = float(np.median(lengths))
-    if values.shape[1] > 1:
+    least = float(np.percentile(lengths, 10.0))
+    is_multiple = np.abs(lengths - least * np.round(lengths / least)) <= 1.0
+    is_held = least >= _LEAST_REGULAR_HOLD and is_multiple.mean() >= _LEAST_MULTIPLES
+    if values.shape[1] > 1 and np.median(lengths) >= _LEAST_HOLD:
         is_together = changes[first].min(axis=1) > _LEAST_CHANGE * changes[first].max(axis=1)
-        is_held = usual >= _LEAST_HOLD and is_together[1:].mean() >= _LEAST_TOGETHER
-    else:
-        is_multiple = np.abs(lengths - usual * np.round(lengths / usual)) <= 1.0
-        is_held = usual >= _LEAST_SINGLE_HOLD and is_multiple.mean() >= _LEAST_MULTIPLES
+        is_held |= is_together[1:].mean() >= _LEAST_TOGETHER
     return is_new if is_held else np.ones_like(is_new)
