@@ -440,6 +440,16 @@ def test_fixes_that_a_log_holds_until_the_next_one_are_called_held_and_neither_f
     assert f"about {20.0 * period:.0f} times" in cause.evidence
 
 
+@pytest.mark.parametrize("direction", [0.0, 45.0, 90.0])  # deg
+def test_exchanged_latitude_and_longitude_are_no_rolling_radius(direction: float) -> None:
+    """What was east is then north, and longer: a map near the equator has longer degrees of longitude."""
+    log = make_drive(has_heading=False).with_tracks(0.9 * np.eye(2))
+    (fixes,) = log.fixes
+    z = fixes.centred_places * np.exp(1.0j * np.radians(direction))
+    swapped = np.column_stack((z.imag, z.real / np.cos(np.radians(47.0))))
+    assert names_of(replace(log, fixes=(replace(fixes, places=swapped),))) == {"position_axes_swapped"}
+
+
 def test_a_course_over_ground_is_no_heading() -> None:
     """In reverse the course turns round; receivers with one antenna publish it as yaw."""
     log = drive()

@@ -177,7 +177,8 @@ def judge_distance(
         evidence += f"; as {possible}, {best_ratio * value:.2f} times"
         remedy = (
             "State the unit in which the speeds are (mapping: left_velocity and right_velocity: unit; "
-            f"roles file: unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
+            f"roles file: unit), or the gear of the motors (mapping: scale: {1.0 / value:.4g}; roles "
+            f"file: ratio), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     gain = -max(slip_log(best_ratio), -60.0) - PRIOR
