@@ -499,3 +499,9 @@ def test_a_time_of_day_that_goes_back_is_refused(tmp_path: Path) -> None:
     time = {"column": "t", "unit": "hh:mm:ss"}
     with pytest.raises(InputError, match="goes back from 43200 s to 43199 s"):
         imported(tmp_path, "t,l,r\n12:00:00,1,1\n11:59:59,1,1\n", {"sprockets": WHEELS}, time=time)
+
+
+def test_a_time_of_day_of_61_minutes_is_refused_with_the_accepted_form(tmp_path: Path) -> None:
+    time = {"column": "t", "unit": "hh:mm:ss"}
+    with pytest.raises(InputError, match=r"12:61:00.*as 14:30:00"):
+        imported(tmp_path, "t,l,r\n12:61:00,1,1\n12:62:00,1,1\n", {"sprockets": WHEELS}, time=time)

@@ -85,8 +85,8 @@ def test_repeated_velocities_do_not_displace_a_robot_that_turns_often(kind: str,
     moved = log.truth.at(times + 0.3)[:, :2] - log.truth.at(times - 0.3)[:, :2]
     velocities = FAULTS[kind](times - begin, moved / 0.6 + random.normal(0.0, STDDEV, moved.shape))
     R = STDDEV**2 * np.eye(2)
-    seen = [VelocityFix(SOURCE, stamp(t), v, R) for t, v in zip(times.tolist(), velocities, strict=True)]
-    measurements = merged(log.odometry, reference_fixes(log.truth, 1.0, int(begin)), seen)
+    shown = [VelocityFix(SOURCE, stamp(t), v, R) for t, v in zip(times.tolist(), velocities, strict=True)]
+    measurements = merged(log.odometry, reference_fixes(log.truth, 1.0, int(begin)), shown)
     window = (begin, begin + 20.0)
     inputs = between(measurements, begin - 40.0, window[1])
     found = score(FaultCase(log.parameters(GNSS, velocity_sources=[SOURCE]), inputs, log.truth, window))

@@ -17,7 +17,7 @@ _ISO = re.compile(
     r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
 )
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
-_CLOCK = re.compile(r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9})\d*)?")
+_CLOCK = re.compile(r"(\d\d?):([0-5]\d):([0-5]\d|60)(?:[.,](\d{1,9})\d*)?")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _PLAUSIBLE_NS = range(10**18, 2**31 * 10**9)  # ns of plausible dates, from 2001 on
 _MAX_NS = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it

@@ -15,7 +15,7 @@ import numpy as np
 from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds, unmoved
 from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
-from trackslip_estimation.setup_check.directions import MIRRORS, decide_signs
+from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
@@ -213,7 +213,7 @@ def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, findings: _Fi
         needed = "record fixes while driving 10 m straight"
         findings.add([], [OpenQuestion("rolling radius and unit of the speeds", needed)])
         return
-    if findings.has_cause(MIRRORS[0]):  # exchanged, latitude and longitude have another scale each
+    if findings.has_cause("position_axes_swapped"):  # their scales are exchanged too
         return
     if places.is_sliding(drive):
         findings.add([], [_SLIDING_QUESTION])
