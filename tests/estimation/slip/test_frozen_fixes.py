@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, drive
-from fixtures.fault_cases.case import GNSS, FaultCase, Truth, fix_parameters, seconds
+from fixtures.fault_cases.case import GNSS, FaultCase, Truth, fix_parameters, seconds, stamp
 from fixtures.fault_cases.injections import change_fixes
+from fixtures.fault_cases.robot_logs import merged
 from fixtures.fault_cases.scoring import score
 
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, PoseFix
+from trackslip_estimation.slip.measurements import HeadingFix, Measurement, PoseFix, YawRate
 
 BEGIN, END = 20.0, 28.0  # s
 STATED = 0.05  # m
@@ -79,6 +80,39 @@ def test_estimate_of_a_stuck_machine_follows_its_fixes(noise: float, stated: flo
     found = score(replace(of_receiver(machine), window=(BEGIN + 2.0, END)))
     assert found.rmse <= 2.0 * stated
     assert found.nees <= 5.0
+
+
+@pytest.mark.parametrize("rate", [1, 10])
+@pytest.mark.parametrize("track_error", [0.03, 0.1])
+def test_machine_that_is_stuck_for_long_follows_its_fixes_without_a_gyro(
+    rate: int, track_error: float
+) -> None:
+    """Beside a pair of antennas; its tracks go on at changing speeds."""
+    noise, errors, inconsistent = 0.02, list[float](), list[float]()
+    for seed in range(3):
+        machine = Machine(
+            duration=70.0,
+            fix_noise=noise,
+            fix_stated=noise,
+            fix_rate=rate,
+            track_error=track_error,
+            stuck=(BEGIN, 60.0),
+            seed=seed,
+        )
+        case, random = of_receiver(machine), np.random.default_rng(seed)
+        times = np.arange(0.0, machine.duration, 0.1)
+        headings = case.truth.at(times)[:, 2] + random.normal(0.0, noise, times.size)
+        antennas: list[Measurement] = [
+            HeadingFix("heading", stamp(t), heading, noise**2)
+            for t, heading in zip(times.tolist(), headings.tolist(), strict=True)
+        ]
+        without_gyro = [m for m in case.measurements if not isinstance(m, YawRate)]
+        p = fix_parameters(GNSS, heading_sources=["heading"])
+        found = score(FaultCase(p, merged(without_gyro, antennas), case.truth, (BEGIN + 2.0, 70.0)))
+        errors.append(found.rmse)
+        inconsistent.append(found.inconsistent)
+    assert max(errors) <= 0.2
+    assert max(inconsistent) <= 0.1  # in its first second of motion again
 
 
 @pytest.mark.parametrize("rate", [1, 5, 10])

@@ -62,10 +62,10 @@ KINDS = [
 ]
 
 
-def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
+def machine(seed: int, tilted: bool, measures_tilt: bool = True) -> tuple[Any, Any, dict[str, int]]:
     """A state with all optional states in use, its configuration record, and the indices of its sources."""
-    p, rng = load_slip_parameters(ALL), np.random.default_rng(seed)
-    config, root = config_of(ALL), rng.normal(size=(SIZE, SIZE))
+    values, rng = ALL | {"use_attitude": measures_tilt}, np.random.default_rng(seed)
+    p, config, root = load_slip_parameters(values), config_of(values), rng.normal(size=(SIZE, SIZE))
     gaussian = Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
     gaussian.mean[FIX_DELAY] = 0.0
     motion = MotionState(Motion.TURNING, departure=1.0)
@@ -84,12 +84,12 @@ def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
 
 @pytest.mark.parametrize(("kind", "name", "rows"), KINDS)
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("tilted", [False, True])
+@pytest.mark.parametrize(("tilted", "measures_tilt"), [(False, True), (True, True), (False, False)])
 def test_h_is_the_derivative_of_what_is_measured(
-    kind: int, name: str, rows: int, seed: int, tilted: bool
+    kind: int, name: str, rows: int, seed: int, tilted: bool, measures_tilt: bool
 ) -> None:
-    """With lever arms, swing, delay, offsets and sensor errors."""
-    state, c, numbers = machine(seed, tilted)
+    """With lever arms, swing, delay, offsets, sensor errors, and a slope that no IMU measures."""
+    state, c, numbers = machine(seed, tilted, measures_tilt)
     measurement = np.zeros(1, MEASUREMENT)[0]
     measurement["kind"], measurement["source"] = kind, numbers[name]
     measurement["noise"] = 1e-3 * np.eye(3)

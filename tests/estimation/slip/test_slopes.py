@@ -90,6 +90,23 @@ def test_position_on_a_slope_is_horizontal_in_every_direction(heading: float) ->
     assert Outcome.GATED not in outcomes
 
 
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2.0, 2.0])
+@pytest.mark.parametrize("slope", [0.0, 0.1])
+def test_position_is_inside_its_covariance_on_a_slope_that_no_imu_measures(
+    heading: float, slope: float
+) -> None:
+    """The slope displaces an antenna 3 m above the ground by 0.3 m."""
+    end, outcomes = end_of(
+        drive(heading, slope, antenna=3.0), use_attitude=False, sources__box_pose__lever_arm_z=3.0
+    )
+    distance = 0.4 * 14.95 * math.cos(across(heading, slope)[1])
+    error = end.pose[:2] - distance * np.array((math.cos(heading), math.sin(heading)))
+    P = end.pose_covariance[:2, :2]
+    assert error @ np.linalg.solve(P, error) < 13.8
+    assert np.linalg.eigvalsh(P).max() < 0.2**2
+    assert Outcome.GATED not in outcomes
+
+
 def test_the_order_of_arrival_does_not_matter() -> None:
     measurements = drive(0.8, math.radians(15.0))
     in_order, _ = end_of(measurements)

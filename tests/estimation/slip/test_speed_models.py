@@ -163,7 +163,7 @@ def test_output_covariance_includes_the_rounding_of_counts(model: str) -> None:
 def test_twist_of_the_turning_model_equals_its_equations(
     left: float, right: float, kappa: float, eta: float, common: float
 ) -> None:
-    """v = (1 − i₀) V − η s, ω = κ D/B; mirrored or reversed speeds give the mirrored or reversed twist."""
+    """v = (1 − i₀) (V − η s), ω = (1 − i₀) κ D/B; of mirrored or reversed speeds mirrored or reversed."""
     x = np.zeros(SIZE)
     V, D = RADIUS * (left + right) / 2.0, RADIUS * (right - left)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = kappa, eta, common
@@ -171,7 +171,7 @@ def test_twist_of_the_turning_model_equals_its_equations(
     c, half = RECORDS["turning"], abs(D) / 2.0
     lost = math.copysign(half, V) if one_direction else V * abs(V / half) ** 2
     sharp = half / (half + float(c["turning"]["gentle_turn"]) * abs(V)) if half > 0.0 else 0.0
-    expected = np.array(((1.0 - common) * V - eta * lost * sharp, 0.0, kappa * D / TREAD))
+    expected = (1.0 - common) * np.array((V - eta * lost * sharp, 0.0, kappa * D / TREAD))
     np.testing.assert_allclose(dispatch.twist(x, -left, -right, c), -expected, atol=1e-12)
     np.testing.assert_allclose(dispatch.twist(x, left, right, c), expected, atol=1e-12)
     np.testing.assert_allclose(dispatch.twist(x, right, left, c), expected * (1, 1, -1), atol=1e-12)
@@ -220,13 +220,17 @@ def test_velocity_errors_add_up_to_the_twist_and_fade(model: str) -> None:
 
 @both
 def test_size_of_the_velocity_errors_by_hand(model: str) -> None:
-    """Variances from V, D and d, larger on soil that yields; after a long time the states have all of it."""
+    """Variances from V, D and d, larger on soil that yields; after a long time the states have all of it.
+
+    A slip of 1 leaves those of firm ground.
+    """
     config, x = CONFIGS[model], np.zeros(SIZE)
     e = {name: float(config["velocity_errors"][name][0]) for name in config["velocity_errors"].dtype.names}
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * e["yielding_slip"]
     steady, changing = e["turning"] ** 2, (e["changing"] * 0.5) ** 2
-    of_speed = 5.0 * RADIUS**2 * (steady + changing) + e["standing"] ** 2
-    of_rate = 5.0 * RADIUS**2 * (e["yaw_rate_ratio"] ** 2 * steady + changing) + e["standing"] ** 2
+    yielding = 1.0 + 4.0 * (1.0 - x[COMMON_SLIP]) ** 2
+    of_speed = yielding * RADIUS**2 * (steady + changing) + e["standing"] ** 2
+    of_rate = yielding * RADIUS**2 * (e["yaw_rate_ratio"] ** 2 * steady + changing) + e["standing"] ** 2
     long = 100.0 * e["time"]
     Q = process_noise(x, NOTHING, Drive(1.0, 2.0, Motion.TURNING, departure=0.5), long, config)
     assert Q[SPEED_ERROR, SPEED_ERROR] == pytest.approx(of_speed)
@@ -234,8 +238,12 @@ def test_size_of_the_velocity_errors_by_hand(model: str) -> None:
     unsure = np.zeros((SIZE, SIZE))
     unsure[COMMON_SLIP, COMMON_SLIP] = e["yielding_slip"] ** 2
     Q = process_noise(x, unsure, Drive(2.0, 2.0), long, config)
-    in_straight = 6.0 * (RADIUS * e["straight"] * 2.0) ** 2 + e["standing"] ** 2
-    assert Q[SPEED_ERROR, SPEED_ERROR] == pytest.approx(in_straight)
+    yielding = 1.0 + 5.0 * ((1.0 - x[COMMON_SLIP]) ** 2 + e["yielding_slip"] ** 2)
+    in_straight = (RADIUS * e["straight"] * 2.0) ** 2
+    assert Q[SPEED_ERROR, SPEED_ERROR] == pytest.approx(yielding * in_straight + e["standing"] ** 2)
+    x[COMMON_SLIP] = 1.0
+    Q = process_noise(x, NOTHING, Drive(2.0, 2.0), long, config)
+    assert Q[SPEED_ERROR, SPEED_ERROR] == pytest.approx(in_straight + e["standing"] ** 2)
 
 
 @both

@@ -110,6 +110,15 @@ def test_variance_with_refused_samples_grows_as_in_silence(
     assert spread[0] > 0.7 * spread[1]
 
 
+def test_slips_stay_those_of_the_ground_while_sprockets_are_silent(drive: Callable[..., Any]) -> None:
+    """The machine drives on, beside fixes, while the speeds of its tracks are unknown."""
+    driven = drive([(20.0, 3.0, 3.0, 0.1, 0.1, 0.0)])
+    outputs = run(without(driven.measurements, (Sprockets,), 15.0, 20.0))[2].estimate().outputs
+    assert outputs.twist[0] > 0.1
+    np.testing.assert_allclose(outputs.slips[:2], 0.1, atol=0.1)
+    assert np.sqrt(np.diag(outputs.slip_covariance)[:2]).min() >= 0.25
+
+
 def run(found: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}, changes))
     steps = [estimator.process(m) for m in found]

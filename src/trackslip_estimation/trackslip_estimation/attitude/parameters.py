@@ -60,6 +60,12 @@ class AttitudeParameters(Parameters):
         "standard deviation of the acceleration of a machine whose tracks send nothing", unit="m/s²", gt=0.0
     )
     scale_time: float = parameter("correlation time of the scale error of the gyro", unit="s", gt=0.0)
+    unknown_slope: float = parameter(
+        "standard deviation of the ground's slope along each axis where no IMU measures the tilt", ge=0.0
+    )
+    unknown_slope_length: float = parameter(
+        "correlation length of that slope along the path", unit="m", gt=0.0
+    )
 
 
 class AttitudeConstants(AttitudeParameters, Record):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise of tracks, gyros and fixes on this machine and ground, estimated from innovations; compiled.
 
-    s       track error: error of a track's ground speed, relative to its speed         1
+    s       track error: error of a track's speed over the ground, relative to it       1
     U       s² U/4 is the variance of m_v due to s, s² U/B² that of m_ω (``speed``)     (m/s)²
     E       envelope: the U already contained in the velocity errors, forgotten with τ  (m/s)²
     T       variance of m_ω, over s², added by the tracks since the last reading  (rad/s)²
@@ -33,7 +33,13 @@ from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import Record, dtype_of
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square
-from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, departure, track_exposure
+from trackslip_estimation.slip.models.speed import (
+    SPEED_ERROR,
+    YAW_RATE_ERROR,
+    departure,
+    squared_travel_ratio,
+    track_exposure,
+)
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -159,7 +165,8 @@ def add_track_error_noise(state: State, dt: float, c: Config) -> None:
     speed_change = max(abs(state.speeds.left - a.left_speed), abs(state.speeds.right - a.right_speed))
     speed_change *= c.rolling_radius if departure(state, c) > 0.0 else 0.0  # first speeds: no change
     a.left_speed, a.right_speed = state.speeds.left, state.speeds.right
-    missing = max(U - a.envelope, c.adaptation.changing_weight * speed_change * speed_change)
+    by_change = c.adaptation.changing_weight * speed_change * speed_change
+    missing = max(U - a.envelope, by_change * squared_travel_ratio(state.mean, state.covariance))
     P[SPEED_ERROR, SPEED_ERROR] += c.adaptation.forward**2 * a.track_variance * missing / 4.0
     P[YAW_RATE_ERROR, YAW_RATE_ERROR] += a.track_variance * missing / (c.tread * c.tread)
     decay = math.exp(-2.0 * dt / c.velocity_errors.time)

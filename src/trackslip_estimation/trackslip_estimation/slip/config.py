@@ -106,8 +106,8 @@ class Config(Record):
     yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # state of the heading or swing angle offset; −1: none
     source_states: Annotated[IntArray, MOST_SOURCES]  # state of the gyro bias or odometry scale; −1: none
     lean_errors: int  # first of two states of tilt errors, over their standard deviation; −1: none
-    lean_stddev: float  # of the time-correlated tilt error, rad
-    error_times: Annotated[FloatArray, SIZE]  # correlation time of a state of variance 1, s; 0: random walk
+    lean_stddev: float  # of the correlated tilt error, rad
+    error_decays: Annotated[FloatArray, (SIZE, 2)]  # of a state of variance 1, 1/s and 1/m; 0: random walk
     mountings: Annotated[
         FloatArray, (MOST_SOURCES, 4)
     ]  # of odometry: quaternion from its axes to base_link's, x, y, z, w
@@ -271,9 +271,12 @@ def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[s
             index += 1
     if p.has_tilt_states:
         c["lean_errors"], c["lean_stddev"] = index, p.attitude.accelerometer_bias_stddev / GRAVITY
+        decay = 1.0 / LEAN_TIME, 0.0
+        if p.tilt_source is None:
+            c["lean_stddev"], decay = p.attitude.unknown_slope, (0.0, 1.0 / p.attitude.unknown_slope_length)
         for axis in (index, index + 1):
             c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = 1.0
-            c["error_times"][axis] = LEAN_TIME
+            c["error_decays"][axis] = decay
         index += 2
     if index > SENSOR_ERRORS:
         c["active"] = c["size"] = index

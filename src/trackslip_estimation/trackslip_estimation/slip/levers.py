@@ -79,20 +79,28 @@ def horizontal_lever_arm(level: Level, swing: float, source: int, c: Config) -> 
 
 @compiled
 def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
-    """R(φ) p with the time-correlated tilt error, and its derivatives."""
+    """R(φ) p with the correlated tilt error, and its derivatives.
+
+    The error of an IMU is along the machine's axes; a slope that no IMU measures is along those of the site.
+    """
     above, J, cos, sin = c.above[source] == 1, np.zeros((2, x.size)), np.cos(x[YAW]), np.sin(x[YAW])
     ahead, left, by_ahead, by_left = horizontal_lever_arm(level, x[SWING] if above else 0.0, source, c)
+    slope_east = slope_north = 0.0
     if above:
         J[X, SWING], J[Y, SWING] = cos * by_ahead - sin * by_left, sin * by_ahead + cos * by_left
     if c.lean_errors >= 0 and c.levers[source, 2] != 0.0:
         e, stddev = c.lean_errors, c.levers[source, 2] * c.lean_stddev
-        ahead += stddev * x[e]
-        left += stddev * x[e + 1]
-        J[X, e], J[Y, e] = cos * stddev, sin * stddev
-        J[X, e + 1], J[Y, e + 1] = -sin * stddev, cos * stddev
+        if c.tilt_source < 0:
+            slope_east, slope_north = stddev * x[e], stddev * x[e + 1]
+            J[X, e] = J[Y, e + 1] = stddev
+        else:
+            ahead += stddev * x[e]
+            left += stddev * x[e + 1]
+            J[X, e], J[Y, e] = cos * stddev, sin * stddev
+            J[X, e + 1], J[Y, e + 1] = -sin * stddev, cos * stddev
     east, north = cos * ahead - sin * left, sin * ahead + cos * left
     J[X, YAW], J[Y, YAW] = -north, east
-    return Lever(east, north, J)
+    return Lever(east + slope_east, north + slope_north, J)
 
 
 @compiled

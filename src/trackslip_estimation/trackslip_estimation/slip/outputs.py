@@ -16,11 +16,13 @@ from trackslip_estimation.kalman.update import predicted_covariance
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
+    has_velocity_errors,
     horizontal_twist,
     slips,
     slips_jacobian,
 )
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.motion import Motion, steady_speeds
 from trackslip_estimation.slip.records import TRACKS
 from trackslip_estimation.slip.source_faults import IS_MISCOUNTING
@@ -62,7 +64,15 @@ def _twist_and_slips(state: State, left: float, right: float, c: Config) -> Floa
     twist_ = body_twist(x, left, right, state, c)
     values[0], values[1], values[2] = twist_
     values[3:] = slips(x, twist_, left, right, c)
+    if _are_slips_unknown(state, c):
+        values[3] = values[4] = x[COMMON_SLIP]
     return values
+
+
+@compiled
+def _are_slips_unknown(state: State, c: Config) -> bool:
+    """Whether the speeds of the tracks are unknown; their slips are then the common slip of the ground."""
+    return bool(state.coasting and has_velocity_errors(c))
 
 
 @compiled
@@ -74,7 +84,14 @@ def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
     twist_ = (values[0], values[1], values[2])
     J = body_jacobian(x, left, right, state, c)
     twist_covariance = predicted_covariance(P, J)
-    slip_covariance = predicted_covariance(P, slips_jacobian(x, twist_, J, (left, right), c))
+    S = slips_jacobian(x, twist_, J, (left, right), c)
+    if _are_slips_unknown(state, c):
+        S[:2] = 0.0
+        S[0, COMMON_SLIP] = S[1, COMMON_SLIP] = 1.0
+    slip_covariance = predicted_covariance(P, S)
+    if _are_slips_unknown(state, c):  # the ground may have changed, for each track
+        slip_covariance[0, 0] += c.events.slip_stddev**2
+        slip_covariance[1, 1] += c.events.slip_stddev**2
     if variance > 0.0:
         stddev = math.sqrt(variance)
         by_left = (

@@ -273,7 +273,8 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
     @property
     def has_tilt_states(self) -> bool:
         """Whether the tilt error affects a pose source, by the height of its lever arm."""
-        return self.tilt_source is not None and any(pose.lever_arm_z for pose in self.poses().values())
+        varies = self.tilt_source is not None or self.attitude.unknown_slope > 0.0
+        return varies and any(pose.lever_arm_z for pose in self.poses().values())
 
     @property
     def tilt_source(self) -> str | None:

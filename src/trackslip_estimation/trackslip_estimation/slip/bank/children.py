@@ -91,11 +91,11 @@ def create_children(window: Window, k: int, c: Config) -> int:
     Returns the number of branches and children. The pool also holds the branches, if there are several or if
     they have children.
     """
-    count, spawns = window.counts[k], False
+    count = window.counts[k]
     for s in range(count):
         _subtract_fault_costs(window, s, k, c)
-        spawns = spawns or _needs_children(window, s, k, c)
-    if count == 1 and not spawns:
+    needs_children = [_needs_children(window, s, k, c) for s in range(count)]
+    if count == 1 and not needs_children[0]:
         branch = window.branches[0, k]
         for snapshot in branch.snapshots:
             snapshot.weight -= branch.weight
@@ -103,7 +103,8 @@ def create_children(window: Window, k: int, c: Config) -> int:
         return 1
     status = window.status[0]
     status.pooled, status.share_left = copy_row_to_pool(window, k), 1.0
-    parents = [p for p in range(count) if _is_parent(window, p, k, c)]
+    least = -c.bank.spawns  # weight before the measurement
+    parents = [p for p in range(count) if needs_children[p] and window.branches[p, k - 1].weight >= least]
     for p in parents:
         _make_children(window, p, k, c)
     for p in parents:  # last, as they take the most time
@@ -127,12 +128,6 @@ def create_failure_children(window: Window, k: int, c: Config) -> int:
         if is_rejected and shows_motion and weight >= -c.bank.spawns and has_velocity_errors(c):
             make_failure_children(window, p, k, 0.0, c)
     return int(status.pooled)
-
-
-@compiled
-def _is_parent(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether branch s was probable enough before measurement k to get children, and needs them."""
-    return bool(window.branches[s, k - 1].weight >= -c.bank.spawns and _needs_children(window, s, k, c))
 
 
 @compiled
@@ -193,7 +188,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if has_wandering_offset(before, measurement.source, c):
         return True
-    if measurement.kind == POSE and slip_range_penalty(before, c) > 0.0:
+    if _is_slip_implausible(window, s, k, c):
         return True
     if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
         return bool(_is_repeated_in_motion(window, s, k, c) or branch.cusum.max() > c.bank.cusum_limit)

@@ -61,14 +61,14 @@ _STEEP = 0.1  # sine of a slope on which a machine may slide
 def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: Config) -> None:
     """Add children of p with an event since the snapshot; ``implausible``: its slip is outside its range."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, drove = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
+    source, has_moved = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
     penalty = correlated_penalty(window, p, k, c)
-    if drove and has_velocity_errors(c):
+    if has_moved and has_velocity_errors(c):
         add_child_since_snapshot(window, p, k, SLIPPED, source, 0, -penalty, c)
     if not implausible and _is_probably_outlier(window, p, k, c):
         return
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
-    if is_place and drove and are_track_speeds_measured(before) and can_be_repetition(update, c):
+    if is_place and has_moved and are_track_speeds_measured(before) and can_be_repetition(update, c):
         add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
     if is_place and update.coarse == 0 and not has_position_dependent_errors(source, c):
         add_child_since_snapshot(window, p, k, WANDERS, source, 0, 0.0, c)
@@ -90,13 +90,13 @@ def make_sector_children(
     ``contradicts``: measurement k contradicts p; ``implausible`` as above.
     """
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, drove = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
+    source, has_moved = m.source, distance_since_snapshot(window, p, k) > c.bank.least_distance
     if not implausible and _is_probably_outlier(window, p, k, c):
         return
     if contradicts and is_free_to_swing(before, source, c):
         for part in range(HEADINGS):
             add_child_since_snapshot(window, p, k, SWUNG, source, part, -_LOG_SECTORS, c)
-    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):
+    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and has_moved):
         penalty = correlated_penalty(window, p, k, c)
         for part in range(HEADINGS):
             add_child_since_snapshot(window, p, k, TURNED, source, part, -_LOG_SECTORS - penalty, c)
@@ -157,8 +157,8 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
     if not _can_show_failure(window, p, k, GYROS, c):
         return
     if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
-        instead = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
-        add_child(window, p, k, FAILED, TRACKS, LOST, True, instead, c)
+        log_odds = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
+        add_child(window, p, k, FAILED, TRACKS, LOST, True, log_odds, c)
     elif before.fault[TRACKS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
@@ -223,5 +223,5 @@ def _is_steep(state: State) -> bool:
 @compiled
 def correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
     """Reduction of ln of the prior of machine events, if errors of the source's fixes are time-correlated."""
-    errs_aside = has_mostly_correlated_errors(window.states[p, k - 1], window.measurements[k].source, c)
-    return float(c.bank.correlated_penalty if errs_aside else 0.0)
+    is_correlated = has_mostly_correlated_errors(window.states[p, k - 1], window.measurements[k].source, c)
+    return float(c.bank.correlated_penalty if is_correlated else 0.0)

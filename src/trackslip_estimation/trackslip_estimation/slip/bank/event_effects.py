@@ -104,14 +104,14 @@ def sector_angle(part: int) -> tuple[float, float]:
 @compiled
 def apply_event(state: State, e: EventRecord, c: Config) -> int:
     """Reset or inflate the states that an event changes; return the reset states as bits."""
-    P, source, was = state.covariance[:], e.source, state.fault[e.source]
+    P, source, previous_fault = state.covariance[:], e.source, state.fault[e.source]
     _set_source_fault(state, e)
     if e.event == OFFSET:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _reset_state(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
     if e.event in (RECOVERED, BECAME_JUMP):
-        return _end_fault(state, e, was, c)
+        return _end_fault(state, e, previous_fault, c)
     if e.event == MOVED:
         return _reset_position(state, e, c)
     if e.event == TURNED:
@@ -131,7 +131,7 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
         P[X, X] += e.value**2
         P[Y, Y] += e.value**2
     elif e.event == FAILED:
-        return _inflate_failed_state(state, e, was, c)
+        return _inflate_failed_state(state, e, previous_fault, c)
     if e.event in (SLIPPED, BIASED) and e.value > 0.0:
         return _move_offset_to_position(state, source, c)
     return 0
@@ -185,17 +185,17 @@ def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
 
 
 @compiled
-def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
+def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
     """End a fault of a source; BECAME_JUMP moves its offset into the measured state, except a swing angle."""
     x, P, source, index = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
-    if is_heading_off(was):
+    if is_heading_off(previous_fault):
         if e.event == BECAME_JUMP and c.of_swing[source] == 1:  # the offset stays
             return 0
         if e.event == BECAME_JUMP:
             to_sensor_heading(x, P, source, 1.0, c)
         reset_states = _reset_state(state, index, 0.0, c.prior_variance[index], c)
         return reset_states | (1 << YAW) if e.event == BECAME_JUMP else reset_states
-    if was == IS_WANDERING and e.event == BECAME_JUMP:
+    if previous_fault == IS_WANDERING and e.event == BECAME_JUMP:
         wander = state.offsets[pose_source_number(source, c)].wander
         reset_states = _reset_state(state, X, x[X] + wander.east, wander.variance, c)
         return reset_states | _reset_state(state, Y, x[Y] + wander.north, wander.variance, c)
@@ -204,7 +204,7 @@ def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
             to_measured_position(x, P, source, 1.0, c)
         reset_states = _end_offset(state, source, c)
         return reset_states | _POSITION if e.event == BECAME_JUMP else reset_states
-    if source == TRACKS and was == IS_MISCOUNTING:
+    if source == TRACKS and previous_fault == IS_MISCOUNTING:
         return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
     return 0
 
@@ -240,7 +240,7 @@ def _inflate_gyro_bias(P: FloatArray, unseen: float, c: Config) -> None:
 
 
 @compiled
-def _inflate_failed_state(state: State, e: EventRecord, was: int, c: Config) -> int:
+def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
     """Inflate or reset the state that failed sprockets, gyros or an odometry affect."""
     opened = c.events.slip_stddev**2
     if e.source == GYROS:
@@ -249,7 +249,7 @@ def _inflate_failed_state(state: State, e: EventRecord, was: int, c: Config) -> 
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
     elif e.source == TRACKS and e.part == LOST:
         return _reset_state(state, COMMON_SLIP, -1.0, opened, c)
-    elif e.source == TRACKS and was == IS_MISCOUNTING:
+    elif e.source == TRACKS and previous_fault == IS_MISCOUNTING:
         return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
     elif e.source == TRACKS and state.is_sector:  # the sprockets have selected the sector
         state.is_sector = False

@@ -176,14 +176,14 @@ def propagate_mean(x: FloatArray, state: State, dt: float, c: Config) -> FloatAr
     if c.swings:
         propagate_swing(x, moved, dt, state, c)
     for i in range(SENSOR_ERRORS, x.size):
-        moved[i] *= sensor_error_persistence(i, dt, c)
+        moved[i] *= sensor_error_persistence(i, dt, v_x, c)
     return moved
 
 
 @compiled
-def sensor_error_persistence(i: int, dt: float, c: Config) -> float:
-    """Share of state ``i``, the error of a sensor, that is left after dt."""
-    return math.exp(-dt / c.error_times[i]) if c.error_times[i] > 0.0 else 1.0
+def sensor_error_persistence(i: int, dt: float, speed: float, c: Config) -> float:
+    """Share of state ``i``, the error of a sensor, that is left after dt at a speed of the machine, m/s."""
+    return math.exp(-dt * (c.error_decays[i, 0] + abs(speed) * c.error_decays[i, 1]))
 
 
 @compiled
@@ -242,8 +242,8 @@ def linearize(
         propagate_swing(x, moved, dt, state, c)
         linearize_swing(x, F, Q, dt, state, c)
     for i in range(SENSOR_ERRORS, n):
-        if c.error_times[i] > 0.0:
-            F[i, i] = sensor_error_persistence(i, dt, c)
+        if c.error_decays[i].any():
+            F[i, i] = sensor_error_persistence(i, dt, v_x, c)
             moved[i], Q[i, i] = x[i] * F[i, i], 1.0 - F[i, i] ** 2
     return moved, F, Q
 

@@ -14,7 +14,7 @@ i_L, i_R   resulting slips, 1 − (v ∓ ω B/2)/(r ω_j)                   1
 V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
 d          largest departure of a track speed from its recent mean    m/s
 s          track error (``adaptation``), as a share of a track's speed 1
-U          2V² + D²/2 + w d²: both track speeds squared, and w d²     (m/s)²
+U          (1 − i₀)² (2V² + D²/2 + w d²): both track speeds squared, and w d²  (m/s)²
 τ, σ       correlation time of the velocity errors, their size        s, m/s
 ρ          e^(−dt/τ)                                                  1
 
@@ -22,9 +22,10 @@ Velocity errors are first-order Gauss–Markov processes: ṁ = −m/τ + noise,
 Measured on the shear truth, σ is a small share of V and D at steady speed. It is smaller in ω than in v,
 since both tracks oscillate in phase. While the speed changes, σ is a large share of d: the vehicle follows
 its tracks with a lag, oscillates on the soil, and settles within tenths of a second. On a soil that yields
-more, the errors and i₀ are larger: σ² grows with 1 + (i₀/i_y)². This quantifies the jump hypothesis (3.22). A
-start adds the shear of the soil (``shear``). Real tracks have larger errors: a share s of each track's speed
-adds s² U/4 to the variance of v and s² U to that of ω B; it also lets i₀ walk and the machine move sideways.
+more, the errors and i₀ are larger; those of a machine that is stuck are small again: σ² grows with
+1 + (i₀ (1 − i₀)/i_y)². This quantifies the jump hypothesis (3.22). A start adds the shear of the soil
+(``shear``). Real tracks have larger errors: a share s of each track's speed over the ground adds s² U/4 to
+the variance of v and s² U to that of ω B; it also lets i₀ walk and the machine move sideways.
 While the sprockets are silent the motion is UNKNOWN: V and D are 0, and the velocity errors are the speeds
 themselves (``coasting``).
 """
@@ -244,7 +245,8 @@ def error_variances(x: FloatArray, P: FloatArray, state: State, c: Config) -> tu
     else:
         steady = e.straight * c.rolling_radius * (speeds.left + speeds.right) / 2.0
     changing = e.changing * departure(state, c)
-    yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
+    squared_slip = x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]
+    yielding = 1.0 + squared_slip * squared_travel_ratio(x, P) / (e.yielding_slip * e.yielding_slip)
     of_tracks = state.adaptation.track_variance * track_exposure(state, c)
     of_speed, of_rate = shear_variances(state, c)
     of_speed += (steady**2 + changing**2) * yielding + e.standing**2
@@ -264,8 +266,17 @@ def error_variances(x: FloatArray, P: FloatArray, state: State, c: Config) -> tu
 def track_exposure(state: State, c: Config) -> float:
     """U, (m/s)²."""
     left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
-    U: float = left * left + right * right + c.adaptation.changing_weight * departure(state, c) ** 2
-    return U
+    U = left * left + right * right + c.adaptation.changing_weight * departure(state, c) ** 2
+    return float(U * squared_travel_ratio(state.mean, state.covariance))
+
+
+@compiled
+def squared_travel_ratio(x: FloatArray, P: FloatArray) -> float:
+    """E[(1 − i₀)²], at most 1: squared speed of the machine over that of its tracks.
+
+    A machine that is faster than its tracks has lost counts, which adds no error.
+    """
+    return min((1.0 - x[COMMON_SLIP]) ** 2 + P[COMMON_SLIP, COMMON_SLIP], 1.0)
 
 
 @compiled
@@ -285,6 +296,7 @@ def add_track_error(Q: FloatArray, heading: float, dt: float, state: State, c: C
         Q[COMMON_SLIP, COMMON_SLIP] += n.common_slip**2 * track_variance * dt
     left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
     of_speed = track_variance * (left * left + right * right) / 4.0
+    of_speed *= squared_travel_ratio(state.mean, state.covariance)
     sideways = n.sideways**2 * of_speed * 2.0 * c.velocity_errors.time * dt
     cos, sin = math.cos(heading), math.sin(heading)
     Q[X, X] += sideways * sin * sin

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 1b: the turning behaviour, not the slip, is constant on a soil (symbols: ``speed``).
 
-    κ    turning efficiency, ω = κ D/B + ε V + m_ω             1
+    κ    turning efficiency, ω = (1 − i₀) (κ D/B + ε V) + m_ω  1
     ε    side asymmetry: unequal tracks or load                rad/m
-    η    speed lost in a turn, v = (1 − i₀) V − η s + m_v      1
+    η    speed lost in a turn, v = (1 − i₀) (V − η s) + m_v    1
     s    |D|/2 with the sign of V while both tracks run in one direction and the turn is not gentle;
          nearly zero while they counter-rotate                 m/s
     g    |D|/2 over |V| of a gentle turn: s is half of |D|/2   1
@@ -147,8 +147,9 @@ def turn_speed_loss(V: float, D: float, c: Config) -> float:
 def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
     """v in m/s and ω in rad/s without the velocity errors."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    v = (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * turn_speed_loss(V, D, c)
-    return v, x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V
+    travel_ratio = 1.0 - x[COMMON_SLIP]
+    v = travel_ratio * (V - x[LOSS] * turn_speed_loss(V, D, c))
+    return v, travel_ratio * (x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V)
 
 
 @compiled
@@ -162,8 +163,10 @@ def twist(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, f
 def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(3, SIZE) derivative of ``twist`` by the state."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    J = np.zeros((3, x.size))
-    J[0, COMMON_SLIP], J[0, LOSS] = -V, -turn_speed_loss(V, D, c)
-    J[2, EFFICIENCY], J[2, ASYMMETRY] = D / c.tread, V
-    speed.complete_jacobian(x, x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V, J)
+    J, travel_ratio, loss = np.zeros((3, x.size)), 1.0 - x[COMMON_SLIP], turn_speed_loss(V, D, c)
+    rate = x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V
+    J[0, COMMON_SLIP], J[0, LOSS] = x[LOSS] * loss - V, -travel_ratio * loss
+    J[2, COMMON_SLIP] = -rate
+    J[2, EFFICIENCY], J[2, ASYMMETRY] = travel_ratio * D / c.tread, travel_ratio * V
+    speed.complete_jacobian(x, travel_ratio * rate, J)
     return J

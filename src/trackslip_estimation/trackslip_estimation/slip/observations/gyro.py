@@ -118,12 +118,13 @@ def _known_states(left: float, right: float, bias: int, c: Config) -> int:
     """Bits of the states that a yaw rate does not correct; the gain is that of a filter which knows them.
 
     While the machine moves, a gyro does not observe b_g and s_g: a dependence of the turning on direction and
-    speed has the same effect. Fixes correct both through their correlations. At standstill b_g is observable.
+    speed has the same effect. Neither does it observe i₀, as the turn states have its effect. Fixes correct
+    all through their correlations. At standstill b_g is observable.
     """
     if not has_velocity_errors(c):
         return 0
     is_moving = left != 0.0 or right != 0.0
-    return (1 << GYRO_SCALE) | (1 << bias if is_moving else 0)
+    return (1 << GYRO_SCALE) | (1 << COMMON_SLIP) | (1 << bias if is_moving else 0)
 
 
 @inlined
