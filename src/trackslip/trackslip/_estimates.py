@@ -20,6 +20,7 @@ from trackslip._frames import to_pandas
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
+from trackslip_common.units import NS_PER_S
 from trackslip_estimation.gnss.localizer import Datum
 
 _AXES = {
@@ -30,7 +31,6 @@ _AXES = {
     "swing": ("swing", "swing_rate"),
 }
 _MAX_LATITUDE = 90.0  # deg
-_SECOND_NS = 1_000_000_000
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 _DatumValues = tuple[float, float, float]
@@ -150,7 +150,7 @@ def _tum(estimates: Estimates, _: _DatumValues | None) -> str:
         cr * cp * cy + sr * sp * sy,
     )
     rows = np.column_stack((estimates.pose[:, :2], z, *turn)).tolist()
-    stamps = [f"{ns // _SECOND_NS}.{ns % _SECOND_NS:09d}" for ns in estimates.stamp_ns.tolist()]
+    stamps = [f"{ns // NS_PER_S}.{ns % NS_PER_S:09d}" for ns in estimates.stamp_ns.tolist()]
     lines = (" ".join((stamp, *map(repr, row))) for stamp, row in zip(stamps, rows, strict=True))
     return "".join(f"{line}\n" for line in lines)
 

@@ -29,6 +29,7 @@ from trackslip_common.message_reading import (
     Text,
     selectors_of,
 )
+from trackslip_common.units import NS_PER_S
 
 CDR_HEADER = 4  # bytes: 0, then 1 if little-endian, then two of options
 CDR_SLACK = 64  # bytes accepted after a message
@@ -40,7 +41,6 @@ _NUMBERS = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "
 _NUMBERS |= {f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)}
 _NUMBERS |= {f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)}
 _STRUCT_FORMATS = {"<i8": "q", "<u8": "Q"}  # numpy formats that have another letter in ``struct``
-_NS_PER_S = 1_000_000_000
 
 
 class Field(NamedTuple):
@@ -160,7 +160,7 @@ class Layout:
             case Stamp(path):
                 seconds = self._values(self._leaves[f"{path}.sec"], buffer, starts).astype(np.int64)
                 nanoseconds = self._values(self._leaves[f"{path}.nanosec"], buffer, starts)
-                return np.asarray(seconds * _NS_PER_S + nanoseconds)
+                return np.asarray(seconds * NS_PER_S + nanoseconds)
             case HasItems(path):
                 return self._leaves[path].length != 0
             case Text(path):
@@ -205,7 +205,7 @@ class Layout:
         match selector:
             case Stamp():
                 sec, nanosec = indices
-                return lambda numbers: numbers[sec] * _NS_PER_S + numbers[nanosec]
+                return lambda numbers: numbers[sec] * NS_PER_S + numbers[nanosec]
             case FieldPath(_, _, shape) if shape:
                 chosen = itemgetter(*indices)
                 return lambda numbers: np.array(chosen(numbers), np.float64).reshape(shape)

@@ -4,7 +4,7 @@
 
 from typing import Any, Protocol
 
-_NS_PER_S = 1_000_000_000
+from trackslip_common.units import NS_PER_S
 
 
 class MessageFactory(Protocol):
@@ -16,7 +16,7 @@ class MessageFactory(Protocol):
 
 def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
     """std_msgs/Header."""
-    sec, nanosec = divmod(stamp_ns, _NS_PER_S)
+    sec, nanosec = divmod(stamp_ns, NS_PER_S)
     stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
@@ -24,10 +24,10 @@ def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
 def set_stamp(message: Any, stamp_ns: int) -> None:
     """Stamp a message that has a header."""
     stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(stamp_ns, _NS_PER_S)
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, NS_PER_S)
 
 
 def stamp_ns_of(message: Any) -> int:
     """Stamp of any message with a header."""
     stamp = message.header.stamp
-    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)

@@ -21,10 +21,11 @@ from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
+from trackslip_common.units import NS_PER_S
+
 R = TypeVar("R")
 RecordClass = Any  # a NamedTuple class of ``message_fields``; mypy takes no type[Any] as a key of a cache
 
-_NS_PER_S = 1_000_000_000
 _JOINT_NAMES = "name"  # of joints
 
 
@@ -99,7 +100,7 @@ def _converter(python: type, selector: Selector) -> Callable[[Any, Any], Any]:
     """(value at the path, message) → value of the field."""
     match selector:
         case Stamp():
-            return lambda stamp, _: int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+            return lambda stamp, _: int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
         case HasItems():
             return lambda values, _: len(values) > 0
         case JointItem(_, name):

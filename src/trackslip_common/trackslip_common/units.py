@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from trackslip_common.errors import InputError, did_you_mean
 
+NS_PER_S = 1_000_000_000
 GRAVITY = 9.80665  # m/s², standard gravity
 _DEG = math.pi / 180.0
 _RPM = math.pi / 30.0

@@ -25,6 +25,7 @@ from trackslip_bags.sources import error_line
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, joined_names
 from trackslip_common.tally import Tally
+from trackslip_common.units import NS_PER_S
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_frames import ERROR_FLAG, FrameSet
@@ -33,7 +34,6 @@ from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSam
 from trackslip_drivers.transports.can_bus import flagged_id
 
 _TOPICS = {SprocketSample: "sprockets", HydraulicsSample: "hydraulics", SwingSample: "swing"}
-_NS_PER_S = 1_000_000_000
 
 
 def read_can_logs(
@@ -121,10 +121,10 @@ def _read_frames(
                 channels.add(str(message.channel))
                 if section.channel is not None and str(message.channel) != section.channel:
                     continue
-                stamp_ns = round(message.timestamp * _NS_PER_S) + section.offset_ns
+                stamp_ns = round(message.timestamp * NS_PER_S) + section.offset_ns
                 if not 0 <= stamp_ns < LIMIT_NS:
                     raise InputError(
-                        f"{path}: a frame at {stamp_ns / _NS_PER_S:.3f} s; accepted: 0 to 2^31 s (start)"
+                        f"{path}: a frame at {stamp_ns / NS_PER_S:.3f} s; accepted: 0 to 2^31 s (start)"
                     )
                 identifier = flagged_id(message)
                 if not identifier & ERROR_FLAG:

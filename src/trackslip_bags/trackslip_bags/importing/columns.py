@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trackslip_common.errors import InputError, did_you_mean
-from trackslip_common.units import UNITS, factor_to_si
+from trackslip_common.units import NS_PER_S, UNITS, factor_to_si
 from trackslip_common.yaml_tree import check_keys, flag, number, positive_number, section, texts
 
 ISO = "iso8601"
@@ -140,7 +140,7 @@ def zone_offset_ns(zone: str) -> int | None:
         return None
     sign, hours, minutes = match.groups()
     seconds = 0 if sign is None else (int(hours) * 60 + int(minutes)) * 60
-    return (-seconds if sign == "-" else seconds) * 1_000_000_000
+    return (-seconds if sign == "-" else seconds) * NS_PER_S
 
 
 def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -> dict[str, Spread]:

@@ -9,9 +9,9 @@ from datetime import datetime, timezone
 from decimal import Decimal
 
 from trackslip_bags.importing.columns import CLOCK, ISO, TimeColumn, zone_offset_ns
-from trackslip_common.units import UNITS
+from trackslip_common.units import NS_PER_S, UNITS
 
-_SCALES = {unit: Decimal(round(seconds * 1e9)) for unit, seconds in UNITS["time"].items()}  # ns
+_SCALES = {unit: Decimal(round(seconds * NS_PER_S)) for unit, seconds in UNITS["time"].items()}  # ns
 _ISO = re.compile(
     r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
     r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
@@ -74,7 +74,7 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
     since_epoch = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
     zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # 0 for UTC, GMT
     nanoseconds = int((fraction or "0").ljust(9, "0"))
-    stamp_ns = (since_epoch.days * 86400 + since_epoch.seconds) * 1_000_000_000 + nanoseconds - zone_ns
+    stamp_ns = (since_epoch.days * 86400 + since_epoch.seconds) * NS_PER_S + nanoseconds - zone_ns
     if abs(stamp_ns) > _MAX_NS:
         raise ValueError(cell)
     return stamp_ns

@@ -23,6 +23,7 @@ from trackslip_common.nodes.qos import publisher_qos, reliable_qos
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters
 from trackslip_common.topics import TOPICS
+from trackslip_common.units import NS_PER_S
 
 _TICK = 0.002  # s, largest delay of a message
 _LONGEST_TICK = 0.05  # s of publishing before the executor continues
@@ -113,7 +114,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
                 self.get_logger().warning(f"{topic} is published by {', '.join(sorted(others))} too")
 
     def _publish_time(self) -> None:
-        sec, nanosec = divmod(self._playback.bag_ns, 1_000_000_000)
+        sec, nanosec = divmod(self._playback.bag_ns, NS_PER_S)
         self._time.publish(ClockMessage(clock=Time(sec=sec, nanosec=nanosec)))
         if self._keys().count(_PAUSE_KEY) % 2 == 1:
             self._playback.paused = not self._playback.paused

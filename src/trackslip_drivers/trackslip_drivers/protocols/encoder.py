@@ -24,7 +24,7 @@ from collections import deque
 from enum import Enum
 from typing import NamedTuple
 
-_NS_PER_S = 1e9
+from trackslip_common.units import NS_PER_S
 
 
 class EncoderEvent(Enum):
@@ -65,7 +65,7 @@ class SprocketEncoder:
     def __init__(self, rad_per_step: float, steps_per_wrap: float, max_speed: float, window: int) -> None:
         self._rad_per_step = rad_per_step
         self._wrap = steps_per_wrap
-        self._steps_per_ns = max_speed / abs(rad_per_step) / _NS_PER_S
+        self._steps_per_ns = max_speed / abs(rad_per_step) / NS_PER_S
         self._raw: float | None = None  # the last raw position used
         self._unwrapped = 0.0
         self._now_ns = 0  # ns since the start
@@ -103,7 +103,7 @@ class SprocketEncoder:
     def _motion(self, velocity: float) -> Motion:
         position = math.nan if self._is_distance_unknown else self._unwrapped * self._rad_per_step
         self._is_distance_unknown = False
-        return Motion(position, velocity * _NS_PER_S * self._rad_per_step)
+        return Motion(position, velocity * NS_PER_S * self._rad_per_step)
 
     def _restart_after_silence(self, raw: float, moved: float) -> EncoderEvent:
         """Restart after a long silence; the next reading resolves the distance turned in it."""

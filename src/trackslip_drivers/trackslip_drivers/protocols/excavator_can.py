@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from trackslip_common.tally import Tally
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_binding import PositionSignal, ScaledSignal, SignalId
 from trackslip_drivers.protocols.can_codec import Value
@@ -27,7 +28,6 @@ from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSam
 Sample = SprocketSample | HydraulicsSample | SwingSample
 """What the bus measures."""
 
-_NS_PER_S = 1_000_000_000
 _NEVER_NS = -(2**62)  # before all stamps
 _PRESSURES = tuple(f"{side}_pressure" for side in SIDES)
 _HYDRAULIC_ROLES = (*_PRESSURES, *SPOOLS, SUPPLY)
@@ -50,7 +50,7 @@ class ExcavatorCan:
     def __init__(self, parameters: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
         self.decoder = FrameDecoder(frames, tally)
         self.tally = tally
-        self._offset_ns = round(parameters.time_offset * _NS_PER_S)
+        self._offset_ns = round(parameters.time_offset * NS_PER_S)
         self._outputs: list[_Output] = []
         if any(f"left_{what}" in frames.roles for what in MOTIONS):
             self._outputs.append(_Sprockets(parameters, frames, tally))
@@ -68,7 +68,7 @@ class ExcavatorCan:
     @property
     def period(self) -> float:
         """Time between samples of the main kind, s; 0 while unknown."""
-        return max(map(self.decoder.cycle_ns, self._outputs[0].leading_frames), default=0.0) / _NS_PER_S
+        return max(map(self.decoder.cycle_ns, self._outputs[0].leading_frames), default=0.0) / NS_PER_S
 
     def receive(self, arbitration_id: int, data: bytes, stamp_ns: int) -> list[Sample]:
         """The samples completed by a frame of the bus received at ``stamp_ns``."""
@@ -110,7 +110,7 @@ class _Output(ABC):
 
     def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
         self.tally = tally
-        self._timeout_ns = round(p.pairing_timeout * _NS_PER_S)
+        self._timeout_ns = round(p.pairing_timeout * NS_PER_S)
         self.bindings = frames.bindings
         self.readings: dict[str, list[_Reading]] = {}
         self._parts: dict[str, tuple[tuple[_Reading, ScaledSignal], ...]] = {}
@@ -213,7 +213,7 @@ class _Sprockets(_Output):
             motion = reading.motion if reading.encoder else Motion(math.nan, self.si_value(role))
             if isinstance(motion, EncoderEvent):
                 return None
-            delay = (stamp_ns - reading.stamp_ns) / _NS_PER_S
+            delay = (stamp_ns - reading.stamp_ns) / NS_PER_S
             sides.append((motion.position + motion.velocity * delay, motion.velocity))
         (left, left_velocity), (right, right_velocity) = sides
         if math.isnan(left) or math.isnan(right):

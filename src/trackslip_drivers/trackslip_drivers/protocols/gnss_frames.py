@@ -18,6 +18,7 @@ from typing import NamedTuple
 from pyrtcm import calc_crc24q
 from pyubx2 import calc_checksum
 
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, LONGEST_LINE
 
 _UBX, _RTCM, _SENTENCE, _LF = b"\xb5\x62", 0xD3, ord("$"), ord("\n")
@@ -28,7 +29,6 @@ _ADDRESS = re.compile(rb"\$[A-Z]{2}")  # how a sentence begins
 _LONGEST_UBX = 4096  # bytes of a payload; raw measurements of a hundred signals take 3.2 kB
 LONGEST_MESSAGE = _LONGEST_UBX + 8
 _STALL_NS = 300_000_000  # silence after which a pending binary message is abandoned
-_NS_PER_S = 1_000_000_000
 
 
 class Kind(Enum):
@@ -196,4 +196,4 @@ class FrameSplitter:
 
     def transfer_ns(self, count: int) -> int:
         """Time that ``count`` bytes take on the line, ns."""
-        return count * BITS_PER_CHAR * _NS_PER_S // self._baud if self._baud else 0
+        return count * BITS_PER_CHAR * NS_PER_S // self._baud if self._baud else 0

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-_NS_PER_S = 1_000_000_000
+from trackslip_common.units import NS_PER_S
 
 
 class Line(NamedTuple):
@@ -85,4 +85,4 @@ class LineSplitter:
 
     def transfer_ns(self, count: int) -> int:
         """Time that ``count`` characters take on the line, ns."""
-        return count * self._bits_per_char * _NS_PER_S // self._baud if self._baud else 0
+        return count * self._bits_per_char * NS_PER_S // self._baud if self._baud else 0

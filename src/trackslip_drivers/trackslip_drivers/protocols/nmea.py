@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from pynmeagps import VALNONE, NMEAReader
 from pynmeagps.nmeahelpers import calc_checksum
 
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.records import FixStatus
 
 BITS_PER_CHAR = 10  # 8N1
@@ -44,7 +45,6 @@ MAX_ALTITUDE = 1e5  # m, largest magnitude of an altitude
 MAX_SPEED = 100.0  # m/s
 _MAX_SPEED_WITHOUT_COURSE = 0.2  # m/s, up to which receivers omit the course
 _KNOT, _KM_PER_H = 1852.0 / 3600.0, 1.0 / 3.6  # m/s
-_NS_PER_S = 1_000_000_000
 _TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s; some makes omit leading zeros
 _CHECKSUM = re.compile(rb"\s*([0-9A-Fa-f]{2})(?![0-9A-Za-z])")
 _ANGLE = re.compile(r"(\d{1,5})(?:\.(\d*))?")  # dddmm.m; some makes omit leading zeros
@@ -392,4 +392,4 @@ def time_of_day_ns(text: str) -> int | None:
     if hours > 23 or minutes > 59 or seconds > 60:
         raise ValueError(text)
     fraction_ns = int((match[2] or "")[:9].ljust(9, "0"))
-    return None if seconds == 60 else ((hours * 60 + minutes) * 60 + seconds) * _NS_PER_S + fraction_ns
+    return None if seconds == 60 else ((hours * 60 + minutes) * 60 + seconds) * NS_PER_S + fraction_ns

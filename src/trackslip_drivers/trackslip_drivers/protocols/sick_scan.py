@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import BoolArray, FloatArray
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.sick_commands import ReplyCode, Severity
 from trackslip_drivers.protocols.sick_telegram import Telegram
 from trackslip_drivers.records import ScanSample
@@ -54,7 +55,6 @@ _LMS_DAZZLED = 8190
 _PLS_BEYOND_RANGE = 8191  # written by our encoder; any value above the PLS' range is valid
 
 _SEVERITY_MASK, _RESTART, _IMPLAUSIBLE, _POLLUTION = 0x07, 0x20, 0x40, 0x80
-_NS_PER_S = 1_000_000_000
 
 
 class ScanFault(Enum):
@@ -171,7 +171,7 @@ def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFa
     field, steps = _SCAN_FIELDS[len(raw.values)]
     increment = _DEGREE / steps
     sample = ScanSample(
-        stamp_ns=telegram.start_ns + round((parameters.time_offset - parameters.scan_time) * _NS_PER_S),
+        stamp_ns=telegram.start_ns + round((parameters.time_offset - parameters.scan_time) * NS_PER_S),
         angle_min=(raw.partial / 4 - field / 2) * _DEGREE,
         angle_increment=increment,
         time_increment=parameters.scan_time * increment / (2 * math.pi),
@@ -187,7 +187,7 @@ def _reverse_scan(sample: ScanSample) -> ScanSample:
     """The scan in reverse order: its last ray is the first counter-clockwise."""
     steps = len(sample.ranges) - 1
     return sample._replace(
-        stamp_ns=sample.stamp_ns + round(steps * sample.time_increment * _NS_PER_S),
+        stamp_ns=sample.stamp_ns + round(steps * sample.time_increment * NS_PER_S),
         angle_min=-sample.angle_min - steps * sample.angle_increment,
         time_increment=-sample.time_increment,
         ranges=sample.ranges[::-1],

@@ -23,6 +23,7 @@ from enum import Enum
 from typing import NamedTuple, TypeVar
 
 from trackslip_common.tally import Tally
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_commands import (
     CommandRefused,
@@ -59,7 +60,6 @@ _MIRROR_TOLERANCE = 0.01  # relative, of the time of one turn
 _PATIENCE = 50  # scans
 _MAX_REFUSALS = 2  # of a rate; one of them may be a wrong byte
 _PASSWORD_PAUSE = 10.0  # s from a refusal (by a wrong scanner, or a wrong byte) to the next attempt
-_NS_PER_S = 1_000_000_000
 
 
 class Phase(Enum):
@@ -251,14 +251,14 @@ class SickSession:
         turn = self._parameters.scan_time
         if scan_period(self._parameters, self.baud) > turn:
             return None
-        return PeriodicStamps(turn * _NS_PER_S, _MIRROR_TOLERANCE, _PATIENCE)
+        return PeriodicStamps(turn * NS_PER_S, _MIRROR_TOLERANCE, _PATIENCE)
 
     def _watch_stream(self) -> Script[SessionFault]:
         """Wait while scans arrive; returns the fault that ends the stream."""
         self._last_scan_ns = self._last_byte_ns = self._now_ns
         while (
-            self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * _NS_PER_S
-            and self._now_ns - self._last_byte_ns < self._parameters.silence_timeout * _NS_PER_S
+            self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * NS_PER_S
+            and self._now_ns - self._last_byte_ns < self._parameters.silence_timeout * NS_PER_S
         ):
             yield
             while self._inbox:
@@ -275,9 +275,9 @@ class SickSession:
         """Send a command, wait for its acknowledgement, then for its reply; returns the answer."""
         self._inbox.clear()
         self._write = make_telegram(command, TO_SENSOR)
-        ack_ns = round(self._parameters.ack_timeout * _NS_PER_S)
+        ack_ns = round(self._parameters.ack_timeout * NS_PER_S)
         reply_s = self._parameters.mode_timeout if reply_timeout is None else reply_timeout
-        reply_ns = round(reply_s * _NS_PER_S)
+        reply_ns = round(reply_s * NS_PER_S)
         answer: Answer = None
         deadline_ns = self._now_ns + self._transfer_ns(len(self._write)) + ack_ns
         # A streaming scanner acknowledges after the end of its present telegram.
@@ -295,7 +295,7 @@ class SickSession:
                 return answer
 
     def _pause(self, duration: float) -> Script[None]:
-        end_ns = self._now_ns + round(duration * _NS_PER_S)
+        end_ns = self._now_ns + round(duration * NS_PER_S)
         while self._now_ns < end_ns:
             yield
 
@@ -305,4 +305,4 @@ class SickSession:
             self._parser.set_baud(baud)
 
     def _transfer_ns(self, count: int) -> int:
-        return count * self._parameters.bits_per_char * _NS_PER_S // self.baud
+        return count * self._parameters.bits_per_char * NS_PER_S // self.baud

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from trackslip_common.tally import Tally
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.sick_crc import sick_crc
 
 STX = 0x02
@@ -22,7 +23,6 @@ MAX_TELEGRAM = MAX_PAYLOAD + _OVERHEAD
 
 # A telegram has no gaps, but a busy host may read late. After this time, the rest is lost.
 SILENCE_NS = 400_000_000
-_NS_PER_S = 1_000_000_000
 
 
 class Control(Enum):
@@ -84,7 +84,7 @@ class TelegramParser:
         self._bits_per_char = bits_per_char
         self._tally = tally
         self._source = source
-        self._char_ns = bits_per_char * _NS_PER_S / baud
+        self._char_ns = bits_per_char * NS_PER_S / baud
         self._buffer = bytearray()
         self._consumed = 0  # bytes of the stream before buffer[0]
         self._reads: deque[tuple[int, int]] = deque()  # (bytes of the stream up to its end, arrival_ns)
@@ -98,7 +98,7 @@ class TelegramParser:
 
     def set_baud(self, baud: int) -> None:
         """Change the line's rate; drops the bytes held, which came at the old one."""
-        self._char_ns = self._bits_per_char * _NS_PER_S / baud
+        self._char_ns = self._bits_per_char * NS_PER_S / baud
         self.discard_pending()
         self._in_garbage = False
 

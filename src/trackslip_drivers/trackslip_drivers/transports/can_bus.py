@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import ERROR_FLAG, STANDARD_FLAG
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
@@ -18,7 +19,6 @@ CanFrame = tuple[int, bytes]  # (arbitration id, payload); flags in the id for a
 
 REMOTE_FLAG = 1 << 30
 
-_NS_PER_S = 1_000_000_000
 _SEND_TIMEOUT_S = 0.1
 _CLASSIC_BYTES = 8
 
@@ -107,4 +107,4 @@ def flagged_id(message: can.Message) -> int:
 
 def _stamp_ns(message: can.Message) -> int:
     """The kernel's time stamp if there is one, as a busy host does not delay it; else the present time."""
-    return round(message.timestamp * _NS_PER_S) if message.timestamp > 0.0 else time.time_ns()
+    return round(message.timestamp * NS_PER_S) if message.timestamp > 0.0 else time.time_ns()

@@ -8,9 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
-NEVER_NS = 2**62  # later than any time of a run
+from trackslip_common.units import NS_PER_S
 
-_NS_PER_S = 1_000_000_000
+NEVER_NS = 2**62  # later than any time of a run
 
 
 @dataclass
@@ -40,7 +40,7 @@ class BaudLine:
 
     def transfer_ns(self, count: int) -> int:
         """Time for which ``count`` characters occupy the line at the current rate, ns, rounded up."""
-        return -(-count * self.bits_per_char * _NS_PER_S // self.baud)
+        return -(-count * self.bits_per_char * NS_PER_S // self.baud)
 
     def send(self, data: bytes, now_ns: int) -> None:
         """Queue characters; they start now, or after those already queued."""
@@ -80,7 +80,7 @@ class BaudLine:
         arrived = bytearray()
         while self._bursts:
             burst = self._bursts[0]
-            bits = (now_ns - burst.start_ns) * burst.baud // _NS_PER_S
+            bits = (now_ns - burst.start_ns) * burst.baud // NS_PER_S
             complete = min(len(burst.data), max(0, bits // self.bits_per_char))
             arrived += burst.data[burst.read : complete]
             burst.read = max(burst.read, complete)
@@ -93,8 +93,8 @@ class BaudLine:
 @lru_cache(maxsize=256)
 def _burst_read_times(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
     """The two reads of a burst of ``count`` characters, ns after its start; ticks start at ``first_ns``."""
-    end_ns = -(-count * bits * _NS_PER_S // baud)
+    end_ns = -(-count * bits * NS_PER_S // baud)
     ticks = np.arange(first_ns, end_ns + tick_ns, tick_ns)
-    complete = np.minimum(ticks * baud // _NS_PER_S // bits, count)
-    late = np.where(complete > 0, ticks - complete * bits * _NS_PER_S // baud, NEVER_NS)
+    complete = np.minimum(ticks * baud // NS_PER_S // bits, count)
+    late = np.where(complete > 0, ticks - complete * bits * NS_PER_S // baud, NEVER_NS)
     return int(ticks[late.argmin()]), int(ticks[np.searchsorted(complete, count)])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, pashr, rmc
 from trackslip_sim.devices.line import NEVER_NS, BaudLine
 
@@ -19,7 +20,6 @@ RECEIVER_RATE = 10.0  # Hz, default rate of a machine with an antenna
 SINGLE, FLOAT, FIXED = 1, 5, 4  # quality
 # s since power-on at which a state ends; quality in the state
 _START_QUALITIES = ((2.0, None), (5.0, 0), (8.0, SINGLE), (12.0, FLOAT))
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class NmeaDevice:
         self._measure = measure
         self._random = np.random.default_rng(seed)
         self._power_on_ns: int | None = None
-        self._period_ns = round(_NS_PER_S / p.rate) if p.rate > 0.0 else NEVER_NS
+        self._period_ns = round(NS_PER_S / p.rate) if p.rate > 0.0 else NEVER_NS
         self._epoch_ns = -(-start_ns // self._period_ns) * self._period_ns
         self._schedule_burst()
 
@@ -93,7 +93,7 @@ class NmeaDevice:
         """The sentences of one epoch."""
         best: int | None = FIXED
         if self._power_on_ns is not None:
-            since = (epoch_ns - self._power_on_ns) / _NS_PER_S
+            since = (epoch_ns - self._power_on_ns) / NS_PER_S
             best = next((quality for until, quality in _START_QUALITIES if since < until), FIXED)
         if best is None:
             return ()

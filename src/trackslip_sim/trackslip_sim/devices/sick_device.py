@@ -16,6 +16,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.tally import Tally
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_commands import ModeResult, ReplyCode, Severity
 from trackslip_drivers.protocols.sick_scan import RawScan, values_of
@@ -38,7 +39,6 @@ _REPLY_DELAY_NS = 20_000_000
 _RATE_CHANGE_DELAY_NS = 5_000_000  # from the end of the reply to the change of the rate
 _RATE_SETTLING_NS = 200_000_000  # after it the device listens again; manuals ask hosts to pause 250 ms
 _MAX_STAMPS = 10_000
-_NS_PER_S = 1_000_000_000
 _IDENTITY = {"pls": b"PLS101-312", "lms": b"LMS200;30106"}
 _SOURCE = "host"
 _BAUDS = {code: baud for baud, code in commands.BAUD_CODES.items()}
@@ -81,7 +81,7 @@ class SickDevice:
         self._parameters = parameters
         self._start = start
         self._measure = measure
-        self._turn_ns = round(parameters.scan_time * _NS_PER_S)
+        self._turn_ns = round(parameters.scan_time * NS_PER_S)
         self.power_cycle(now_ns)
 
     def power_cycle(self, now_ns: int) -> None:
@@ -124,7 +124,7 @@ class SickDevice:
         return min(self._complete_ns(), self._line.next_read_ns(now_ns, tick_ns))
 
     def _start_boot(self, at_ns: int) -> None:
-        self._ready_ns = at_ns + round(self._start.boot_delay * _NS_PER_S)
+        self._ready_ns = at_ns + round(self._start.boot_delay * NS_PER_S)
         self._is_booted = False
         self._mode = Mode.NOTHING
         self._scan_requested = False

@@ -16,12 +16,12 @@ from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.errors import InputError
+from trackslip_common.units import NS_PER_S
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_sim.scenarios.checks import check_keys, read_number, read_text
 
 CAN, WATSON, SICK, GNSS = SENSORS = ("can", "watson", "sick", "gnss")
 _SERIAL = (WATSON, SICK, GNSS)
-_NS_PER_S = 1_000_000_000
 _MAX_DURATION = 86_400.0  # s
 _KEYS = ("sensor", "kind", "start", "duration", "value")
 
@@ -176,7 +176,7 @@ class Faults:
 
     def time(self, now_ns: int) -> float:
         """Seconds of the drive."""
-        return (now_ns - self._start_ns) / _NS_PER_S
+        return (now_ns - self._start_ns) / NS_PER_S
 
     def active_fault(self, sensor: str, kind: str, now_ns: int) -> Fault | None:
         """The active fault of a kind; the one added last if there are several."""

@@ -19,6 +19,7 @@ import pymap3d
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.nmea import heading_of_yaw
 from trackslip_drivers.protocols.nmea_sentences import Position
 from trackslip_sim.devices.nmea_device import FIXED, FLOAT, SINGLE, NmeaDeviceParameters
@@ -30,7 +31,6 @@ _FIXED_CORRELATED_SHARE = 0.5  # time-correlated share of a fixed solution's var
 _FIXED_TIME = 5.0  # s, correlation time
 _UP_RATIO = 2.0  # error of an altitude over that of the position
 _CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m; s, correlation time
-_NS_PER_S = 1_000_000_000
 _VELOCITY_STEP_NS = 10_000_000  # half the interval of the central difference for the velocity
 
 
@@ -101,7 +101,7 @@ class GnssModel:
         east, north, up = self._position_error(stamp_ns, quality)
         heading_error = p.heading_stddev * self._random.standard_normal()
         clock_step = self._faults.active_fault(f.GNSS, f.CLOCK_STEP, stamp_ns)
-        time_ns = stamp_ns + (round(clock_step.value * _NS_PER_S) if clock_step is not None else 0)
+        time_ns = stamp_ns + (round(clock_step.value * NS_PER_S) if clock_step is not None else 0)
         if quality == 0:
             return Position(time_ns)
         machine = self._true_placement(stamp_ns)
@@ -149,7 +149,7 @@ class GnssModel:
     def _position_error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
         """Position error east, north, up, m; all processes advance, whatever the quality."""
         normal = self._random.standard_normal((len(self._correlated), 2))
-        t = stamp_ns / _NS_PER_S
+        t = stamp_ns / NS_PER_S
         errors = {
             q: process.advance(t, n) for (q, process), n in zip(self._correlated.items(), normal, strict=True)
         }

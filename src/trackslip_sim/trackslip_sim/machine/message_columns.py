@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 from trackslip_bags.messages import serialize
 from trackslip_bags.types import ensure_type, fields_by
 from trackslip_common.layout import Layout
+from trackslip_common.units import NS_PER_S
 
 Columns = Mapping[str, NDArray[Any]]
 """Dotted name of a field → (n,) its values, or (n, k) where it holds k of them."""
 
-_NS_PER_S = 1_000_000_000
-
 
 def stamp_columns(stamps_ns: Sequence[int]) -> Columns:
     """Columns of a header's stamp."""
-    sec, nanosec = np.divmod(np.array(stamps_ns, dtype=np.int64), _NS_PER_S)
+    sec, nanosec = np.divmod(np.array(stamps_ns, dtype=np.int64), NS_PER_S)
     return {"header.stamp.sec": sec, "header.stamp.nanosec": nanosec}
 
 

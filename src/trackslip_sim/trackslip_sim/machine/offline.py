@@ -17,6 +17,7 @@ import numpy as np
 from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
 from trackslip_common.tally import Tally
+from trackslip_common.units import NS_PER_S
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
 from trackslip_drivers import can_parameters
@@ -54,7 +55,6 @@ from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.truth.record import WINDOW_LENGTH, Truth, TruthWindow
 
 START_NS = 1_000_000_000  # start of the counted clock
-_SECOND_NS = 1_000_000_000
 _READ_PERIOD_NS = 100_000_000  # longest time between two reads of a port, as live
 _WRITE_NS = round(0.5 * WINDOW_LENGTH * 1e9)  # between writes; the window must still hold the truth
 
@@ -75,10 +75,10 @@ def record_drive(
     window = truth if isinstance(truth, TruthWindow) else TruthWindow((truth,), truth.duration)
     with BagWriter(path) as bag:
         host = _Host(p, window, bag)
-        done = START_NS // _SECOND_NS
+        done = START_NS // NS_PER_S
         while (now_ns := host.next_ns) <= host.excavator.end_ns + DRAIN_NS:
             host.step(now_ns)
-            if (seconds := now_ns // _SECOND_NS - done) > 0:
+            if (seconds := now_ns // NS_PER_S - done) > 0:
                 advance(seconds)
                 done += seconds
         host.recording.write()
