@@ -129,7 +129,7 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     assert silent.level == DiagnosticStatus.ERROR
     values = values_of(silent)
     assert values["restarts"] == "1"
-    assert int(values["sprockets too_late"]) == 4
+    assert int(values["sprockets: too_late"]) == 4
     assert "if consistent" in values["box_pose nis"]
 
     reported = [r.source for r in graph.reports if r.source.startswith("slip_estimator/")]

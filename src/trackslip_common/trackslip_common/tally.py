@@ -50,6 +50,10 @@ class Tally:
         self._seen = total
         return new
 
+    def values(self) -> dict[str, object]:
+        """{"source: reason": count since the start}, sorted, for diagnostics."""
+        return {f"{source}: {reason}": count for (source, reason), count in sorted(self.total.items())}
+
     def by_source(self) -> dict[str, dict[str, int]]:
         """{source: {reason: n}}, for summaries."""
         nested: dict[str, dict[str, int]] = {}

@@ -156,7 +156,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             "note": state.note,
             "stamps ahead of the host's clock (s)": f"{self._host.lead_ns * 1e-9:.3f}",
         }
-        values |= {f"{source}: {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
+        values |= self.tally.values()
         level, message = self._condition()
         self._reported = level
         return [Health(level, message, values)]

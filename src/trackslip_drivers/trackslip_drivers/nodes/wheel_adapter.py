@@ -36,8 +36,7 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
     def health(self) -> list[Health]:
         """Counts of messages received and published, and of rejections by reason."""
         (received, published), self._reported = self._reported, (self._received, self._published)
-        rejected = {f"{source}: {why}": n for (source, why), n in sorted(self.tally.total.items())}
-        values = {"received": self._received, "published": self._published, **rejected}
+        values = {"received": self._received, "published": self._published, **self.tally.values()}
         if self._received == received:
             return [Health(WARN, f"nothing on {self.settings.topic}", values)]
         if self._published == published:

@@ -52,13 +52,12 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         """Return the numbers of scans and fixes, and why scans gave no fix."""
         fixes_before, scans_before = self._reported_counts
         self._reported_counts = (self._fixes, self._scans)
-        rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         restarts = self._localizer.restarts
         values: dict[str, object] = {
             "scans": self._scans,
             "fixes": self._fixes,
             "restarts": restarts,
-            **rejected,
+            **self._localizer.tally.values(),
         }
         values["track of the run before"] = "continued" if self._localizer.resumed else "not used"
         if self._file.failure:

@@ -41,10 +41,14 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         """Return the numbers of fixes and poses, the datum, and why fixes gave no pose."""
         poses_before, fixes_before = self._reported_counts
         self._reported_counts = (self._poses, self._fixes)
-        rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         datum = self._localizer.datum
         datum_text = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
-        values = {"fixes": self._fixes, "poses": self._poses, "datum": datum_text, **rejected}
+        values = {
+            "fixes": self._fixes,
+            "poses": self._poses,
+            "datum": datum_text,
+            **self._localizer.tally.values(),
+        }
         new_rejections = self._localizer.tally.new_counts()
         if self._fixes == fixes_before:
             return [Health(WARN, "no fixes", values)]

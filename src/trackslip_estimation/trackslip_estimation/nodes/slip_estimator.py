@@ -86,8 +86,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def health(self) -> list[Health]:
         """Return the entries of estimator, setup check and state file, with counts of rejected inputs."""
-        rejected = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
-        counts = {"measurements": self._processed, "estimates": self._estimates, **rejected}
+        counts = {"measurements": self._processed, "estimates": self._estimates, **self.tally.values()}
         silence = self._sources.sprocket_silence_s
         return [
             estimator_health(self._estimator, self._watch, silence, counts),

@@ -91,9 +91,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         """Return waiting, running, or what is wrong, with unused inputs by source and reason."""
         if self._estimator is None:
             return [Health(WARN, f"{self.settings.vehicle.missing_groups_message}: {NO_OUTPUT_TEXT}")]
-        total = self._estimator.tally.total
-        rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
-        counts = {"inputs": self._inputs, "messages": self._published, **rejected}
+        counts = {"inputs": self._inputs, "messages": self._published, **self._estimator.tally.values()}
         silence_s = None if self._received_s is None else time.monotonic() - self._received_s
         return [soil_health(self._estimator, silence_s, counts)]
 
