@@ -102,5 +102,5 @@ def test_vehicle_topic_of_another_type_names_no_vehicle(
 def test_a_namespace_that_is_not_there_is_refused(
     two_machines: Path, command: str, refuse: Callable[..., str]
 ) -> None:
-    expected = "--namespace three: nothing is in it; accepted: site, two\n"
+    expected = "--namespace three: nothing is in it; accepted: site/one, two\n"
     assert refuse(command, two_machines, "--namespace", "three") == expected

@@ -1,12 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One machine's part of a bag: the topics of its namespace, named without it."""
+"""Machines of a bag, by namespace; one machine's part: the topics of its namespace, named without it."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 from trackslip_bags.sources import BagMessage, Source, TopicInfo, merge_topics
 
 _GLOBAL_TOPICS = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics outside of namespaces
+_MACHINE_TOPICS = ("sprockets", "vehicle", "slip_estimator/parameters")
+
+
+def machine_namespaces(topics: Iterable[str]) -> list[str]:
+    """Namespaces of the machines with these topics, '' for none: by sprockets, vehicle or parameters."""
+    absolute = [topic if "/" in topic else f"/{topic}" for topic in topics]
+    ends = [f"/{name}" for name in _MACHINE_TOPICS]
+    within = {topic.removesuffix(end) for topic in absolute for end in ends if topic.endswith(end)}
+    return sorted({name.strip("/") for name in within if not name or name.startswith("/")})
 
 
 class NamespaceView:

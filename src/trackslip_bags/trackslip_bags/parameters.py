@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from trackslip_bags.old_parameters import current_names
-from trackslip_bags.reader import Bag, absolute_name
+from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle import VehicleParameters
@@ -19,7 +19,6 @@ from trackslip_common.yaml_text import parse_yaml
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
 _NODE = "slip_estimator"
-_SPROCKETS = "sprockets"
 _FROM_TF = ".mounting_from_tf"
 
 
@@ -50,17 +49,6 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
         return None
     vehicle_values = {name: value for name, value in values.items() if name.startswith(f"{TOPIC}.")}
     return from_flat(ParametersWithVehicle, vehicle_values, where).vehicle
-
-
-def namespaces(bag: Bag) -> list[str]:
-    """Namespaces of the machines in a bag, '' for none: those with sprockets, vehicle or parameters.
-
-    A bag without any of these topics counts as one machine without a namespace.
-    """
-    ends = [f"/{name}" for name in (TOPIC, PARAMETERS_TOPIC, _SPROCKETS)]
-    names = [absolute_name(name) if "/" not in name else name for name in bag.topics]
-    within = {name.removesuffix(end) for name in names for end in ends if name.endswith(end)}
-    return sorted({name.strip("/") for name in within if not name or name.startswith("/")}) or [""]
 
 
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:

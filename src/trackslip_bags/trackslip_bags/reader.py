@@ -16,7 +16,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.metadata import METADATA, check_metadata
-from trackslip_bags.namespace import NamespaceView
+from trackslip_bags.namespace import NamespaceView, machine_namespaces
 from trackslip_bags.sources import (
     BagMessage,
     Source,
@@ -160,11 +160,11 @@ def in_namespace(bag: Bag, namespace: str) -> Bag:
     """One machine's part of an open bag, with topic names relative to the namespace.
 
     Raises:
-        InputError: the namespace has no topics; names the namespaces of the bag.
+        InputError: the namespace has no topics; names those of the machines of the bag.
     """
     if not any(topic.startswith(f"/{namespace.strip('/')}/") for topic in bag.topics):
-        there = sorted({topic.split("/")[1] for topic in bag.topics if topic.count("/") > 1})
-        accepted = ", ".join(there) or "none: no topic of the bag has a namespace"
+        machines = ", ".join(filter(None, machine_namespaces(bag.topics)))
+        accepted = machines or "none: no machine of the bag has a namespace"
         raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
     return Bag(bag.path, [NamespaceView(source, namespace) for source in bag.sources], bag.damage)
 

@@ -4,7 +4,8 @@
 
 from datetime import datetime, timezone
 
-from trackslip_bags.parameters import bag_vehicle, namespaces
+from trackslip_bags.namespace import machine_namespaces
+from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import Bag, in_namespace
 from trackslip_common.errors import printable
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
@@ -43,7 +44,7 @@ def describe(bag: Bag) -> str:
 def _vehicle_lines(bag: Bag) -> list[str]:
     """One line for each machine, with its namespace."""
     lines = []
-    for namespace in namespaces(bag):
+    for namespace in machine_namespaces(bag.topics) or [""]:
         vehicle = bag_vehicle(in_namespace(bag, namespace) if namespace else bag)
         name = f"not named: {DEFAULT_VEHICLE} is assumed" if vehicle is None else printable(vehicle.name)
         lines.append(f"vehicle   {name}" + (f" (--namespace {printable(namespace)})" if namespace else ""))

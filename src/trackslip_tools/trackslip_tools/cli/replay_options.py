@@ -10,8 +10,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative_name
+from trackslip_bags.namespace import machine_namespaces
 from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
-from trackslip_bags.parameters import bag_vehicle, namespaces, stated_parameters
+from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
 from trackslip_common.errors import InputError, collect_output, show, suggestion
@@ -138,7 +139,7 @@ def parameters_of(
     elif of_bag is not None:
         show(f"vehicle: {p.vehicle.name}, the bag's")
     else:
-        others = ", ".join(filter(None, namespaces(bag)))
+        others = ", ".join(filter(None, machine_namespaces(bag.topics)))
         show(
             DEFAULT_VEHICLE_NOTE + (f"; it has machines in --namespace {others}" if others else ""),
             is_note=True,
