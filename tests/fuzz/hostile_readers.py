@@ -20,10 +20,10 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import load_vehicle, parse_vehicle, vehicle_text
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
+from trackslip_estimation.box.heading_ambiguity import CERTAIN_WEIGHTS, Headings, SideEvidence
 from trackslip_estimation.box.parameters import DEFAULT_FILES as BOX_FILES
 from trackslip_estimation.box.parameters import NODE as BOX_NODE
 from trackslip_estimation.box.parameters import BoxNodeParameters
-from trackslip_estimation.box.quarters import CERTAIN_WEIGHTS, Headings, SideEvidence
 from trackslip_estimation.box.track import LocalizerState, Track
 from trackslip_estimation.box.track_file import TrackFile, track_text
 from trackslip_estimation.slip.estimator import SlipEstimator

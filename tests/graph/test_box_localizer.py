@@ -19,7 +19,7 @@ from trackslip_common.make import stamp_ns_of
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos
-from trackslip_estimation.box.quarters import CERTAIN_WEIGHTS, Headings, SideEvidence
+from trackslip_estimation.box.heading_ambiguity import CERTAIN_WEIGHTS, Headings, SideEvidence
 from trackslip_estimation.box.track import LocalizerState, Track
 from trackslip_estimation.box.track_file import TrackFile
 from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, SiteScanner

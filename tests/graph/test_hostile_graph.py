@@ -12,10 +12,10 @@ from fixtures.patience import wait_for
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from trackslip_common.flood import MAX_BURST
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos
+from trackslip_common.rate_limiter import MAX_BURST
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 

@@ -4,8 +4,8 @@
 
 from typing import Any
 
-from trackslip_common.flood import RateLimiter
 from trackslip_common.nodes.health import ERROR, Health
+from trackslip_common.rate_limiter import RateLimiter
 
 
 class Inputs:
@@ -14,7 +14,7 @@ class Inputs:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._topics: set[str] = set()  # topics that should have one publisher
-        self._flood = RateLimiter()
+        self._rate_limiter = RateLimiter()
 
     def add(self, topic: str) -> None:
         """Add a topic that should have one publisher."""
@@ -26,19 +26,19 @@ class Inputs:
 
     def accept_message(self, topic: str) -> bool:
         """Whether the rate limit of the topic allows one more message."""
-        return self._flood.accept_message(topic)
+        return self._rate_limiter.accept_message(topic)
 
     def health(self) -> list[Health]:
         """An error if an input floods or has several publishers, whose messages look like one sensor's."""
         counts = {topic: self._node.count_publishers(topic) for topic in sorted(self._topics)}
         several = {topic: count for topic, count in counts.items() if count > 1}
-        new_drops = self._flood.new_drops()
+        new_drops = self._rate_limiter.new_drops()
         findings = [f"several publishers of {', '.join(several)}"] if several else []
         findings += [f"{count} messages of {topic} were too many" for topic, count in new_drops.items()]
         if not findings:
             return []
         values: dict[str, Any] = dict(several)
-        values |= {f"{topic} dropped": count for topic, count in self._flood.dropped.items()}
+        values |= {f"{topic} dropped": count for topic, count in self._rate_limiter.dropped.items()}
         values |= {f"publishers of {topic}": self._publishers(topic) for topic in {**several, **new_drops}}
         return [Health(ERROR, "; ".join(findings), values, part="inputs")]
 

@@ -18,7 +18,7 @@ from cantools.database import Database
 from cantools.database.errors import Error as CantoolsError
 
 from trackslip_common.errors import InputError
-from trackslip_drivers.protocols.dbc_parts import load_readable_frames
+from trackslip_drivers.protocols.dbc_recovery import load_readable_frames
 
 _MAX_FILE_SIZE = 8_000_000  # bytes; a complete J1939 DBC has about 4 million
 _LONGEST_FRAME = 1785  # bytes: limit of J1939's transport protocol; CAN FD has 64

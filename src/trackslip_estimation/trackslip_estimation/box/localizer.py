@@ -22,9 +22,15 @@ from trackslip_common.vehicle import Box
 from trackslip_estimation.box.association import Association
 from trackslip_estimation.box.fit import posterior
 from trackslip_estimation.box.frames import Frames
+from trackslip_estimation.box.heading_ambiguity import (
+    NEGLIGIBLE_PROBABILITY,
+    QUARTER_TURN,
+    Headings,
+    Mode,
+    mix_modes,
+)
 from trackslip_estimation.box.odometry import Odometry
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.quarters import NEGLIGIBLE_PROBABILITY, QUARTER_TURN, Headings, Mode, mix_modes
 from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
 from trackslip_estimation.box.track import Expectation, LocalizerState, Track, initial_expectation

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Odometry of base_link at the time of a scan."""
 
-import math
 from collections import deque
 from enum import Enum
 from typing import NamedTuple
@@ -11,6 +10,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
+from trackslip_estimation.covariance import is_covariance
 
 SPACING_NS = 50_000_000  # least time between two odometries in the buffer
 BUFFER_SIZE = 60  # 3 s, for scans delayed by the serial line
@@ -40,7 +40,7 @@ class OdometryBuffer:
 
     def add(self, odometry: Odometry) -> None:
         """Append one ``SPACING_NS`` or more after the last; clear the buffer first if time went back 1 s."""
-        if not _is_usable(odometry):
+        if not np.isfinite(odometry.position).all() or not is_covariance(odometry.covariance):
             self._tally.add("odometry", OdometryReason.MALFORMED)
             return
         since_ns = odometry.stamp_ns - self._latest[-1].stamp_ns if self._latest else SPACING_NS
@@ -56,10 +56,3 @@ class OdometryBuffer:
         if nearest is None or abs(nearest.stamp_ns - stamp_ns) > LONGEST_OFFSET_NS:
             return None
         return nearest
-
-
-def _is_usable(odometry: Odometry) -> bool:
-    """Whether the position is finite and the covariance positive semidefinite."""
-    (xx, xy), (yx, yy) = odometry.covariance
-    is_finite = bool(np.isfinite(odometry.position).all()) and math.isfinite(xx + xy + yx + yy)
-    return is_finite and xx >= 0.0 and yy >= 0.0 and xy * yx <= xx * yy * (1.0 + 1e-9)

@@ -3,7 +3,7 @@
 """Search for the box in a scan: segment it into objects, fit the box to each, gate by the expected pose.
 
 A rectangle looks the same after half a turn and nearly so after a quarter. If the expected heading does not
-resolve this, the box is fitted both ways, and ``quarters.py`` weights the two.
+resolve this, the box is fitted both ways, and ``heading_ambiguity.py`` weights the two.
 """
 
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ from trackslip_estimation.box.clusters import (
 )
 from trackslip_estimation.box.fit import Optimum, count_beams_through, fit_pose, likely_starting_poses
 from trackslip_estimation.box.frames import Frames
+from trackslip_estimation.box.heading_ambiguity import QUARTER_TURN, sides_are_known
 from trackslip_estimation.box.measurement_model import Rectangle
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.quarters import QUARTER_TURN, sides_are_known
 from trackslip_estimation.box.track import Expectation
 
 HEADING_OFFSETS = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)

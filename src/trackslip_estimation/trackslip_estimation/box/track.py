@@ -20,8 +20,14 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.box.background import Background
+from trackslip_estimation.box.heading_ambiguity import (
+    CERTAIN_WEIGHTS,
+    QUARTER_TURN,
+    Headings,
+    Mode,
+    SideEvidence,
+)
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.quarters import CERTAIN_WEIGHTS, QUARTER_TURN, Headings, Mode, SideEvidence
 
 INITIAL_YAW_STDDEV = np.pi / 16.0  # rad: the initial heading is given to within π/4
 _NS = 1e-9  # s

@@ -19,9 +19,10 @@ from trackslip_common.atomic_files import atomic_replacement
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, parameter_path
 from trackslip_estimation.box.background import Background
-from trackslip_estimation.box.quarters import Headings, SideEvidence
+from trackslip_estimation.box.heading_ambiguity import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
 from trackslip_estimation.box.track import LocalizerState, Track
+from trackslip_estimation.covariance import is_covariance
 
 _VERSION = 3
 _MILLIMETRES = 1000.0  # in a metre
@@ -81,8 +82,7 @@ def parse_track(text: str) -> LocalizerState:
     are_stamps_valid = all(0 <= ns < 2**63 for ns in (stamp_ns, scan_ns))
     if not are_stamps_valid or not all(np.isfinite(array).all() for array in numbers):
         raise InputError("it has values out of range")
-    is_symmetric = np.array_equal(covariance, covariance.swapaxes(1, 2))
-    if not is_symmetric or np.linalg.eigvalsh(covariance).min() < 0.0:
+    if not all(map(is_covariance, covariance)):
         raise InputError("its covariance is invalid")
     if weights.min() < 0.0 or not math.isclose(weights.sum(), 1.0, rel_tol=1e-6) or count < 0:
         raise InputError("its probabilities are invalid")

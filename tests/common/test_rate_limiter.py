@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from trackslip_common.flood import MAX_BURST, MAX_RATE, RateLimiter
+from trackslip_common.rate_limiter import MAX_BURST, MAX_RATE, RateLimiter
 
 
 @pytest.mark.parametrize("rate", [2000.0, 10_000.0, 1e6])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_estimation.box.quarters import (
+from trackslip_estimation.box.heading_ambiguity import (
     CERTAIN_WEIGHTS,
     NEGLIGIBLE_PROBABILITY,
     Headings,
