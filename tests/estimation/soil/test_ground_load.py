@@ -26,10 +26,10 @@ from trackslip_estimation.soil.shear_field import (
     Contact,
     Rolling,
     RollingError,
-    element_places,
     fill_mobilised_shares,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
+from trackslip_estimation.terramechanics.traction import element_positions
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.mass_properties import MassProperties
 from trackslip_sim.truth.settings import load_settings
@@ -167,7 +167,7 @@ def test_swing_angle_has_no_effect_without_an_upper_structure() -> None:
 def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
     """The soil at the rear has the largest shear displacement: 1 − 2 x_N/l times the thrust."""
     length, n = VEHICLE.contact_length, 200
-    contact = Contact(element_places(length, n), 0.5 * VEHICLE.tread)
+    contact = Contact(element_positions(length, n), 0.5 * VEHICLE.tread)
     speed, slip, centre = 0.35, 1e-4, -0.15
     lean = 12.0 * centre / length**2
     j = np.zeros((2, n, 2))

@@ -15,15 +15,14 @@ from trackslip_estimation.soil.shear_field import (
     Contact,
     Rolling,
     RollingError,
-    element_places,
     fill_mobilised_shares,
     mobilised_share,
     propagate_displacement,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.strength_posterior import SampleOutcome, StrengthPosterior
+from trackslip_estimation.soil.strength_posterior import StrengthPosterior
 from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances, thrust_curves
-from trackslip_estimation.terramechanics.traction import thrust
+from trackslip_estimation.terramechanics.traction import element_positions, thrust
 
 P = load_soil_parameters()
 VEHICLE, STRENGTH = P.vehicle.whole(), P.strength
@@ -71,7 +70,7 @@ def new_strength(**changes: float) -> Strength:
 @pytest.mark.parametrize("slip", [0.002, 0.0072, 0.05, 0.3, -0.01])
 @pytest.mark.parametrize("speed", [SPEED, -SPEED])
 def test_steady_straight_motion_equals_equation_3_3(slip: float, speed: float) -> None:
-    x_e = element_places(LENGTH, 64)
+    x_e = element_positions(LENGTH, 64)
     rolling = Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed))
     contact = Contact(x_e, HALF_TREAD)
     j = np.zeros((2, 64, 2))
@@ -83,7 +82,7 @@ def test_steady_straight_motion_equals_equation_3_3(slip: float, speed: float) -
 
 
 def test_twist_error_acts_as_a_constant_one() -> None:
-    contact, tracks = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((0.2, 0.35))
+    contact, tracks = Contact(element_positions(LENGTH, 16), HALF_TREAD), np.array((0.2, 0.35))
     twist, error = np.array((0.25, 0.01, 0.1)), np.array((0.01, -0.004, 0.02))
     q, other = np.empty((2, 3)), np.empty((2, 3))
     moduli = np.array((0.005, 0.02, 0.08))
@@ -98,7 +97,7 @@ def test_twist_error_acts_as_a_constant_one() -> None:
 
 def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
     """With the load's uncertainty the residual is one standard deviation, without it above five."""
-    contact, moduli = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((MODULUS,))
+    contact, moduli = Contact(element_positions(LENGTH, 16), HALF_TREAD), np.array((MODULUS,))
     rolling, lean = Rolling(np.array((0.25, -0.01, 0.12)), np.array((0.2, 0.35))), 0.3
     j, q = propagate_displacement(np.zeros((2, 16, 2)), rolling, contact, 60.0), np.empty((2, 1))
     fill_mobilised_shares(j, rolling, RollingError(NONE, NONE, lean), contact, moduli, q)
@@ -112,7 +111,7 @@ def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
 
 
 def test_many_short_steps_equal_one_long_step() -> None:
-    contact = Contact(element_places(LENGTH, 16), HALF_TREAD)
+    contact = Contact(element_positions(LENGTH, 16), HALF_TREAD)
     rolling = Rolling(np.array((0.28, 0.02, -0.1)), np.array((0.35, 0.2)))
     once = propagate_displacement(np.zeros((2, 16, 2)), rolling, contact, 20.0)
     often = np.zeros((2, 16, 2))
@@ -239,7 +238,7 @@ def test_one_track_alone_gives_the_thrust_limit() -> None:
         for _ in range(100):
             sample = straight(slip, force_of(slip))
             alone = replace(sample, thrusts=np.array((np.nan, sample.thrusts[1])))
-            assert strength.update(alone) is SampleOutcome.USED
+            strength.update(alone)
     assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
 
 
@@ -247,7 +246,7 @@ def test_standstill_adds_no_information() -> None:
     strength = new_strength()
     covariance, force = 1e-6 * np.eye(3), np.zeros(2)
     still = Sample(STEP, NONE, np.zeros(3), covariance, force, np.ones(2), Motion.STANDING)
-    assert strength.update(still) is SampleOutcome.STANDING
+    strength.update(still)
     assert strength.posterior.effective_samples == 0.0
     assert strength.posterior.summary().reason == "too little driving yet"
 

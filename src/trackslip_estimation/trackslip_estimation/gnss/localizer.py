@@ -18,6 +18,7 @@ import pymap3d
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
+from trackslip_estimation.covariance import is_covariance
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 
 Number = float | FloatArray
@@ -36,7 +37,7 @@ class Reason(Enum):
     NOT_A_NUMBER = "not a number"
     OUT_OF_RANGE = "latitude or longitude out of range"
     ZERO = "latitude and longitude are 0"
-    BAD_COVARIANCE = "covariance is not positive definite"
+    BAD_COVARIANCE = "covariance is not positive semidefinite"
     UNCERTAIN = "too uncertain"
     HEMISPHERE = "in another hemisphere than the datum"
     FAR = "too far from the datum"
@@ -105,7 +106,7 @@ class GnssLocalizer:
         if position == (0.0, 0.0):
             return Reason.ZERO
         covariance = self._covariance(fix)
-        if not _is_positive_definite(covariance):
+        if not is_covariance(covariance):
             return Reason.BAD_COVARIANCE
         worst = max(covariance[0, 0], covariance[1, 1])
         return Reason.UNCERTAIN if worst > self._p.max_stddev**2 else None
@@ -149,12 +150,6 @@ def _up_variance(fix: Fix, covariance: FloatArray) -> float:
     if math.isfinite(stated) and stated > 0.0:
         return stated
     return _UP_STDDEV_RATIO**2 * float(np.max(np.diag(covariance)))
-
-
-def _is_positive_definite(covariance: FloatArray) -> bool:
-    """Whether (2, 2) is finite and positive definite."""
-    (a, b), (c, d) = covariance.tolist()
-    return all(map(math.isfinite, (a, b, c, d))) and a > 0.0 and d > 0.0 and a * d > b * c and b == c
 
 
 def too_far_reason(datum: Datum, latitude: float, longitude: float) -> Reason:

@@ -17,6 +17,7 @@ from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.topics import MACHINE_STATE
+from trackslip_estimation.covariance import is_covariance_compiled
 from trackslip_estimation.slip.motion import Motion
 
 # Sources, named by topic
@@ -59,7 +60,6 @@ _STATE_FIELDS = (
     *("swing", "swing_variance"),
 )
 
-_ROUNDING = 1e-9
 _LARGEST = 1e12  # in any unit; larger numbers are INVALID
 # Physical limits of a tracked vehicle; larger values are OUT_OF_RANGE
 _FASTEST = 20.0  # m/s; the fastest vehicles drive 22
@@ -220,17 +220,9 @@ def check_input(record: SoilInputRecord) -> int:
     for k in range(2):
         fault = _worse_result(fault, _check_number(record.tilt[k], _STEEPEST))
         fault = _worse_result(fault, _check_variance(record.tilt_variance[k], _LARGEST_TILT_VARIANCE))
-    if fault == ACCEPTED and not _is_covariance(C):
+    if fault == ACCEPTED and not is_covariance_compiled(C):
         return INVALID
     return fault
-
-
-@compiled
-def _is_covariance(C: FloatArray) -> bool:
-    """Whether the covariance of v_x and yaw rate is symmetric and positive semidefinite."""
-    product = C[0, 0] * C[2, 2]
-    is_symmetric = abs(C[0, 2] - C[2, 0]) <= _ROUNDING * math.sqrt(product)
-    return bool(is_symmetric and C[0, 2] ** 2 <= product * (1.0 + _ROUNDING))
 
 
 @compiled

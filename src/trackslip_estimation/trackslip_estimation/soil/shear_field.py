@@ -65,11 +65,6 @@ class RollingError(NamedTuple):
     lean: float  # 1/m
 
 
-def element_places(length: float, elements: int) -> FloatArray:
-    """Return x_e of the element centres (n,), foremost first, m."""
-    return length * (0.5 - (np.arange(elements) + 0.5) / elements)
-
-
 @compiled
 def mobilised_share(ratio: float) -> float:
     """Return 1 − e^(−ratio) for a ratio ≥ 0, to 1e-14, in plain arithmetic so that loops are vectorised.

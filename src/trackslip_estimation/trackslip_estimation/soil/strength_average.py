@@ -8,6 +8,7 @@ from typing import Annotated
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record
+from trackslip_estimation.covariance import is_covariance_compiled
 from trackslip_estimation.soil.ground_load import GroundLoad
 from trackslip_estimation.soil.interpolation import Sample
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
@@ -15,7 +16,6 @@ from trackslip_estimation.soil.thrust import ThrustRecord
 
 _LARGEST = 1e6  # in any unit, thrusts apart: larger numbers are no measurement
 _LARGEST_THRUST = 1e9  # N
-_ROUNDING = 1e-12  # (m/s)², (rad/s)²: eigenvalues of a covariance down to minus this are accepted
 
 
 class Average(Record):
@@ -73,18 +73,9 @@ def _is_usable(sample: Sample, p: StrengthParameters) -> bool:
     for i in range(3):
         if not abs(sample.twist[i]) < _LARGEST:
             return False
-        for j in range(3):
-            if not abs(C[i, j]) < _LARGEST:
-                return False
-    # Pivots of C + _ROUNDING I: all are positive where all eigenvalues of C are above −_ROUNDING.
-    first = C[0, 0] + _ROUNDING
-    if not first > 0.0:
-        return False
-    second = C[1, 1] + _ROUNDING - C[1, 0] ** 2 / first
-    if not second > 0.0:
-        return False
-    across = C[2, 1] - C[2, 0] * C[1, 0] / first
-    return bool(C[2, 2] + _ROUNDING - C[2, 0] ** 2 / first - across**2 / second > 0.0)
+        if not C[i, i] < _LARGEST:
+            return False
+    return is_covariance_compiled(C)
 
 
 @compiled

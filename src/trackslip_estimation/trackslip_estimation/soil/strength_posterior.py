@@ -18,32 +18,25 @@ came from p₀ dominates within a few independent samples.
 """
 
 import math
-from enum import Enum
 
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.covariance import ROUNDING
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance
-from trackslip_estimation.soil.shear_field import Contact, Rolling, element_places, propagate_displacement
+from trackslip_estimation.soil.shear_field import Contact, Rolling, propagate_displacement
 from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
 from trackslip_estimation.soil.strength_average import Average
 from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.strength_summary import StrengthSummary, summarise_cells
 from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances, thrust_curves
+from trackslip_estimation.terramechanics.traction import element_positions
 
 _LEAST_PROBABILITY = 1e-300  # least probability as a divisor
-
-
-class SampleOutcome(Enum):
-    """Use of an average."""
-
-    GATHERED = "gathered"  # not evaluated, or kept for a straight
-    USED = "used"  # evaluated, or it completed a straight that was
-    STANDING = "standing"
 
 
 class StrengthPosterior:
@@ -52,7 +45,7 @@ class StrengthPosterior:
     def __init__(self, parameters: StrengthParameters, vehicle: Vehicle) -> None:
         p = self.parameters = parameters
         self.grid = StrengthGrid(p, vehicle)
-        self._contact = Contact(element_places(vehicle.contact_length, p.elements), 0.5 * vehicle.tread)
+        self._contact = Contact(element_positions(vehicle.contact_length, p.elements), 0.5 * vehicle.tread)
         self._hypotheses = Hypotheses(self._contact, self.grid.moduli, self.grid.limits)
         self._nothing = np.ones(self.grid.shape)  # likelihood without a measurement
         self.reset()
@@ -77,7 +70,7 @@ class StrengthPosterior:
         """Discard the straight in progress."""
         self._segment: StraightSegment | None = None
 
-    def update(self, now: Average) -> SampleOutcome:
+    def update(self, now: Average) -> None:
         """Update with one average of slips and thrusts."""
         rolling, dt = Rolling(now["twist"], now["tracks"], float(now["lean"])), float(now["dt"])
         distance = abs(float(rolling.tracks.mean())) * dt
@@ -92,26 +85,28 @@ class StrengthPosterior:
             self._halted = True
             if self._segment is not None:
                 self._segment.set_end(pose, stretch, stretch_stddev)
-            return SampleOutcome.STANDING
+            return
         thrust = float(now["force"].sum())
         is_straight = now["motion"] == Motion.STRAIGHT and math.isfinite(thrust)
-        outcome = SampleOutcome.GATHERED if is_straight and not self._halted else self._evaluate_segment()
+        if self._halted or not is_straight:
+            self._evaluate_segment()
         self._halted = False
         if is_straight:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
             self._segment.add(dt, rolling, thrust, float(now["lean_stddev"]))
             self._segment.set_end(pose, stretch, stretch_stddev)
-            is_long = self._segment.track_distance >= self.parameters.longest_straight
-            return self._evaluate_segment() if is_long else outcome
-        return self._evaluate_turn(now, rolling) if now["motion"] == Motion.TURNING else outcome
+            if self._segment.track_distance >= self.parameters.longest_straight:
+                self._evaluate_segment()
+        elif now["motion"] == Motion.TURNING:
+            self._evaluate_turn(now, rolling)
 
-    def _evaluate_turn(self, now: Average, rolling: Rolling) -> SampleOutcome:
+    def _evaluate_turn(self, now: Average, rolling: Rolling) -> None:
         """Update with the slips and thrusts of a turn."""
         p, tracks, shared = self.parameters, rolling.tracks, self._shared_samples()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)
         count = int(np.isfinite(force).sum())
         if not count:
-            return SampleOutcome.GATHERED
+            return
         turn = Turn(
             self._displacement,
             rolling,
@@ -125,21 +120,19 @@ class StrengthPosterior:
             thrust_curves(turn, self._contact, self.grid.moduli), turn, self.grid.limits
         )
         self._update_cells(squares, count, min(float(now["dt"]) / p.correlation_time, 1.0))
-        return SampleOutcome.USED
 
-    def _evaluate_segment(self) -> SampleOutcome:
+    def _evaluate_segment(self) -> None:
         """Update with the slip distance of the straight that has ended."""
         p, segment, self._segment = self.parameters, self._segment, None
         if segment is None or segment.track_distance < p.shortest_straight:
-            return SampleOutcome.GATHERED
+            return
         slip_distance = segment.slip_distance()
         if abs(slip_distance.measured) > p.most_straight_slip * segment.track_distance:
-            return SampleOutcome.GATHERED  # spinning tracks are at the limit of the soil: independent of K
+            return  # spinning tracks are at the limit of the soil: independent of K
         bias = p.slip_bias_stddev * segment.track_distance
         correlated = bias**2 + slip_distance.of_lean**2
         variance = slip_distance.variance + p.distance_stddev**2 + self._shared_samples() * correlated
         self._update_cells((slip_distance.measured - slip_distance.expected) ** 2 / variance, 1, 1.0)
-        return SampleOutcome.USED
 
     def _covariance_root(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
         """Return the upper triangular root of the twist's covariance, with least variances and slip bias."""
@@ -147,7 +140,8 @@ class StrengthPosterior:
         least_variances = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
         slip = p.slip_bias_stddev * float(np.abs(tracks).mean())
         bias_variances = np.square((slip, 0.0, slip / self._contact.half_tread))
-        whole = covariance + np.diag(least_variances + self._shared_samples() * bias_variances)
+        rounding = 4.0 * ROUNDING * np.diag(covariance)  # by which it may be asymmetric and indefinite
+        whole = covariance + np.diag(least_variances + rounding + self._shared_samples() * bias_variances)
         return np.ascontiguousarray(np.linalg.cholesky(whole[::-1, ::-1])[::-1, ::-1])
 
     def _shared_samples(self) -> float:

@@ -148,8 +148,3 @@ def shear_sums(q: FloatArray, shear: Shear, tracks: Tracks, floor: float, sums: 
         curvature = sums.curvature
         curvature[k, 0], curvature[k, 1], curvature[k, 2] = h_xx, h_xy, h_xyx
         curvature[k, 3], curvature[k, 4], curvature[k, 5] = h_yy, h_yyx, h_yyxx
-
-
-def element_positions(length: float, elements: int) -> FloatArray:
-    """Centres of the elements (n,), m, from the front."""
-    return length * (0.5 - (np.arange(elements) + 0.5) / elements)
