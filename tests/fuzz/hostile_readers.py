@@ -5,6 +5,7 @@
 import contextlib
 import io
 import math
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +18,11 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_directory, load_parameters
 from trackslip_common.errors import InputError
+from trackslip_common.tally import Tally
 from trackslip_common.vehicle_files import load_vehicle, parse_vehicle, vehicle_text
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
-from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
+from trackslip_drivers.protocols.can_frames import STANDARD_FLAG, FrameSet, load_frames
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_estimation.box.heading_ambiguity import CERTAIN_WEIGHTS, Headings, SideEvidence
 from trackslip_estimation.box.parameters import DEFAULT_FILES as BOX_FILES
 from trackslip_estimation.box.parameters import NODE as BOX_NODE
@@ -140,7 +143,7 @@ def roles(_: Path) -> Reader:
     dbc = config_directory() / p.dbc_file
 
     def read(path: Path) -> None:
-        FrameSet(dbc, path, p.vehicle)
+        _receive(FrameSet(dbc, path, p.vehicle), p)
 
     return Reader(_config("can_roles.yaml"), read)
 
@@ -152,9 +155,19 @@ def dbc(_: Path) -> Reader:
     contract = config_directory() / p.roles_file
 
     def read(path: Path) -> None:
-        FrameSet(path, contract, p.vehicle)
+        _receive(FrameSet(path, contract, p.vehicle), p)
 
     return Reader(_config("*.dbc"), read, ".dbc")
+
+
+def _receive(frames: FrameSet, p: CanDriverParameters) -> None:
+    """Decode random frames of each id, some of a wrong length."""
+    draw, bus = random.Random(0), ExcavatorCan(p, frames, Tally())
+    for k in range(6):
+        for message in frames.by_name.values():
+            flag = 0 if message.is_extended_frame else STANDARD_FLAG
+            length = draw.choice((message.length, message.length, draw.randrange(65)))
+            bus.receive(message.frame_id | flag, draw.randbytes(length), (100 + k) * 10_000_000)
 
 
 def mapping(folder: Path) -> Reader:

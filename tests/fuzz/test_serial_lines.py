@@ -11,9 +11,8 @@ from fixtures.driver_defaults import LAYOUT, NMEA, PLS
 from fixtures.heading_sentences import hdt
 from hypothesis import example, given
 from hypothesis import strategies as st
-from pyubx2 import calc_checksum
+from pyubx2 import GET, UBXMessage, calc_checksum
 
-from mutated_inputs import AT, UBX_MESSAGES
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols import sick_commands as commands
@@ -161,18 +160,45 @@ def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], s
     assert any(sample.angular_velocity == last for sample in samples)
 
 
+AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
 _ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
     *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, hdt, nmea_sentences.pashr),
 )
 SENTENCES = [encode(AT) for encode in _ENCODERS]
 AFTER = AT._replace(time_ns=90_000_000_000)  # an epoch of no input
 LATER = nmea_sentences.gga(AFTER) + nmea_sentences.gst(AFTER)
-BODIES = [message[1:].partition(b"*")[0] for message in SENTENCES]
+BODIES = [message[1:].partition(b"*")[0] for message in SENTENCES] + [
+    b"GNGNS,101530.20,3352.1,S,15112.7,E,RR,18,0.6,41.20,22.10,1.0,0021,V",
+    b"GNVTG,12.0,T,,M,1.0,N,1.852,K,R",
+    b"GNTHS,12.5,A",
+    b"PTNL,AVR,181059.6,149.4,Yaw,0.1,Tilt,,,60.2,3,2.5,6",
+    b"PSAT,HPR,1200.0,90.0,0,0,N",
+    b"PSSN,HRP,142800.00,251126,8.3,,1.2,0.1,,0.2,12,2,3,E",
+    b"KSXT,20261125102155.00,116.3,40.1,59.3,12.5,0.1,2.0,0.5,,3,3,22,22,,,,-0.1,0.0,0.2,1,12,",
+]
+ODD_FIELDS = [
+    *b" -0 1e9 nan inf - . 0x10 1_0 4806.0 60.0 99 235960.00 240000 +1".split(b" "),
+    b"9" * 40,
+    b" 1",
+]
 fields = st.one_of(
-    st.binary(max_size=12), st.sampled_from(sorted({f for body in BODIES for f in body.split(b",")}))
+    st.binary(max_size=12),
+    st.sampled_from(sorted({field for body in BODIES for field in body.split(b",")}) + ODD_FIELDS),
 )
+
+
+def with_field(body: bytes, at: int, field: bytes) -> bytes:
+    """A sentence with one field replaced."""
+    parts = body.split(b",")
+    parts[at % len(parts)] = field
+    return b",".join(parts)
+
+
 bodies = st.one_of(
-    st.sampled_from(BODIES), st.lists(fields, max_size=16).map(b",".join), st.binary(max_size=160)
+    st.sampled_from(BODIES),
+    st.builds(with_field, st.sampled_from(BODIES), st.integers(0, 23), fields),
+    st.lists(fields, max_size=16).map(b",".join),
+    st.binary(max_size=160),
 )
 
 
@@ -194,12 +220,30 @@ def test_good_fix_after_any_sentences_is_found(sent: list[bytes]) -> None:
     assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples)
 
 
+_HEADING = {"gnssFixOK": 1, "relPosValid": 1, "carrSoln": 2, "isMoving": 1, "relPosHeadingValid": 1}
+_FIX = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
+UBX_MESSAGES = (
+    UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **_FIX),
+    UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
+    UBXMessage("NAV", "NAV-COV", GET, iTOW=20_000, posCovValid=1, posCovNN=1e-4, posCovEE=1e-4),
+    UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=20_000, relPosHeading=30.0, **_HEADING),
+)
 PAYLOADS = [message.payload for message in UBX_MESSAGES]
 NAMES = (b"\x01\x07", b"\x01\x14", b"\x01\x36", b"\x01\x3c", b"\x02\x15")
-ubx = st.lists(
-    st.tuples(st.integers(0, len(NAMES)), st.one_of(st.sampled_from(PAYLOADS), st.binary(max_size=120))),
-    max_size=8,
-)
+
+
+def with_byte(name: int, at: int, byte: int) -> Piece:
+    """A message with one byte of its payload replaced."""
+    payload = bytearray(PAYLOADS[name])
+    payload[at % len(payload)] = byte
+    return name, bytes(payload)
+
+
+of_names = st.integers(0, len(PAYLOADS) - 1)
+edges = st.sampled_from((0, 1, 0x7F, 0x80, 0xFF))
+changed = st.builds(with_byte, of_names, st.integers(0, 99), st.one_of(edges, st.integers(0, 255)))
+contents_of_ubx = st.one_of(st.sampled_from(PAYLOADS), st.binary(max_size=120))
+ubx = st.lists(st.one_of(changed, st.tuples(st.integers(0, len(NAMES)), contents_of_ubx)), max_size=8)
 
 
 @given(ubx)
