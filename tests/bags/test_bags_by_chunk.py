@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
+from fixtures.made_bags import TEXT, text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from trackslip_bags import chunks
 from trackslip_bags.chunks import read_stretches
-from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.types import known_schema
 from trackslip_common.errors import InputError
 
-TEXT = "std_msgs/msg/String"
 TOPICS = ("/a", "/b", "/c")
 
 Messages = list[tuple[str, int, bytes]]
@@ -43,7 +42,7 @@ recordings = st.builds(
         st.tuples(
             st.sampled_from(TOPICS),
             st.integers(0, 20),  # equal times, and chunks that overlap in time
-            st.text("xyz", max_size=30).map(lambda data: serialize(make(TEXT, data=data))),
+            st.text("xyz", max_size=30).map(text),
         ),
         max_size=30,
     ),

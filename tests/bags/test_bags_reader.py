@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import pytest
 import yaml
-from fixtures.made_bags import damage_chunk
+from fixtures.made_bags import IMU, MS, TEXT, damage_chunk, imu, text
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import Bag, open_bag, require_topics
 from trackslip_bags.recovery.recover import recover
 from trackslip_bags.types import typestore
@@ -21,9 +21,6 @@ from trackslip_common.errors import InputError
 from trackslip_tools.cli.description import describe
 from trackslip_tools.terminal_text import WIDTH
 
-TEXT = "std_msgs/msg/String"
-IMU = "sensor_msgs/msg/Imu"
-MS = 1_000_000
 FORMS = [
     (StoragePlugin.SQLITE3, CompressionMode.NONE),
     (StoragePlugin.SQLITE3, CompressionMode.FILE),
@@ -32,10 +29,6 @@ FORMS = [
     (StoragePlugin.MCAP, CompressionMode.FILE),
     (StoragePlugin.MCAP, CompressionMode.STORAGE),
 ]
-
-
-def text(data: str) -> bytes:
-    return serialize(make(TEXT, data=data))
 
 
 def write_texts(path: Path, times_ns: list[int], topic: str = "/a") -> Path:
@@ -49,7 +42,7 @@ def write_long(path: Path) -> Path:
     """Write 4 s of IMU at 100 Hz: eight chunks."""
     with BagWriter(path) as bag:
         for i in range(400):
-            bag.write("/imu", IMU, serialize(make(IMU, header=header(i * 10 * MS, "imu_link"))), i * 10 * MS)
+            bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS)
     return path
 
 
@@ -69,7 +62,7 @@ def test_bags_of_others_open(
         b = writer.add_connection("/b", IMU, typestore=typestore())
         writer.write(a, 30, text("second"))
         writer.write(a, 10, text("first"))
-        writer.write(b, 20, serialize(make(IMU, header=header(20, "imu_link"))))
+        writer.write(b, 20, imu(20))
     with open_bag(tmp_path / "bag") as bag:
         assert bag.damage == ""
         assert {name: (info.type_name, info.count) for name, info in bag.topics.items()} == {

@@ -8,24 +8,20 @@ from pathlib import Path
 
 import pytest
 import yaml
+from fixtures.made_bags import IMU, MS, TEXT, imu, text
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-
-IMU = "sensor_msgs/msg/Imu"
-TEXT = "std_msgs/msg/String"
-MS = 1_000_000
 
 
 def write_imu(path: Path, count: int, size: float = math.inf, duration: float = math.inf) -> Path:
     """Write IMU at 100 Hz, and a single message on another topic."""
     with BagWriter(path, split_size=size, split_duration=duration) as bag:
-        bag.write("/once", TEXT, serialize(make(TEXT, data="first")), 0)
+        bag.write("/once", TEXT, text("first"), 0)
         for i in range(count):
-            bag.write("/imu", IMU, serialize(make(IMU, header=header(i * 10 * MS, "imu_link"))), i * 10 * MS)
+            bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS)
     return path
 
 
@@ -49,7 +45,7 @@ def test_a_large_file_is_followed_by_another(tmp_path: Path) -> None:
     noise = random.Random(1)
     with BagWriter(tmp_path / "bag", split_size=100_000) as bag:
         for i in range(200):
-            data = serialize(make(TEXT, data=noise.randbytes(5000).hex()))
+            data = text(noise.randbytes(5000).hex())
             bag.write("/noise", TEXT, data, i * 100 * MS)
     sizes = [file.stat().st_size for file in sorted(tmp_path.glob("bag/*.mcap"), key=lambda f: len(f.name))]
     assert len(sizes) > 5
@@ -88,16 +84,16 @@ def test_each_file_of_a_split_bag_is_readable_alone(tmp_path: Path) -> None:
 def test_a_clock_set_back_does_not_split_at_every_message(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", split_duration=10.0) as bag:
         for at_s in (1000, 1001, 2, 3, 4, 5):
-            bag.write("/once", TEXT, serialize(make(TEXT, data=str(at_s))), at_s * 1000 * MS)
+            bag.write("/once", TEXT, text(str(at_s)), at_s * 1000 * MS)
     assert len(list(tmp_path.glob("bag/*.mcap"))) == 2
 
 
 @pytest.mark.parametrize("flushed", [True, False])
 def test_unflushed_messages_are_counted(tmp_path: Path, flushed: bool) -> None:
     bag = BagWriter(tmp_path / "bag")
-    bag.write("/once", TEXT, serialize(make(TEXT, data="a")), 0)
+    bag.write("/once", TEXT, text("a"), 0)
     if flushed:
         bag.flush()
-    bag.write("/once", TEXT, serialize(make(TEXT, data="b")), 1)
+    bag.write("/once", TEXT, text("b"), 1)
     assert bag.unsaved == {"/once": 1 if flushed else 2}
     bag.close()

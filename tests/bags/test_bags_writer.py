@@ -8,21 +8,17 @@ from pathlib import Path
 
 import pytest
 import yaml
-from fixtures.made_bags import summary_of
+from fixtures.made_bags import IMU, MS, TEXT, imu, summary_of, text
 from fixtures.patience import PATIENCE
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
-from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.types import known_schema
 from trackslip_bags.writer import CHUNK_SPAN_NS, BagWriter
 from trackslip_common.errors import InputError
 
-IMU = "sensor_msgs/msg/Imu"
-TEXT = "std_msgs/msg/String"
-MS = 1_000_000
 QOS = """
 - {history: keep_last, depth: 10, reliability: best_effort, durability: volatile, deadline: {sec: 0, nsec: 0},
    lifespan: {sec: 0, nsec: 0}, liveliness: automatic, liveliness_lease_duration: {sec: 0, nsec: 0},
@@ -30,13 +26,9 @@ QOS = """
 """
 
 
-def imu(stamp_ns: int) -> bytes:
-    return serialize(make(IMU, header=header(stamp_ns, "imu_link")))
-
-
 def test_bytes_pass_unchanged_with_both_times(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
-        bag.write("/a", TEXT, serialize(make(TEXT, data="one")), 2000, 1000)
+        bag.write("/a", TEXT, text("one"), 2000, 1000)
         bag.write("/a", TEXT, b"\x00\x01\x00\x00 as it is", 3000)
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -176,7 +168,7 @@ from trackslip_bags.writer import BagWriter
 bag = BagWriter({bag!r})
 for i in range({count}):
     stamp_ns = i * 10_000_000
-    data = serialize(make("sensor_msgs/msg/Imu", header=header(stamp_ns, "imu_link")))
+    data = imu(stamp_ns)
     bag.write("/imu", "sensor_msgs/msg/Imu", data, stamp_ns)
 os.kill(os.getpid(), signal.SIGKILL)
 """

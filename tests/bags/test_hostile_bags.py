@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from fixtures.made_bags import TEXT, text
 
 from trackslip_bags.importing.csv_table import Requested, read_table
 from trackslip_bags.messages import make, serialize
@@ -21,13 +22,13 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_tools.cli.description import describe
 
-TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float64"
+NUMBER = "std_msgs/msg/Float64"
 
 
 def text_bag(path: Path, count: int = 10, topic: str = "/text", first_ns: int = 1) -> Path:
     with BagWriter(path) as bag:
         for k in range(count):
-            data = serialize(make(TEXT, data=os.urandom(500).hex()))
+            data = text(os.urandom(500).hex())
             bag.write(topic, TEXT, data, first_ns + k)
     return path
 
@@ -35,7 +36,7 @@ def text_bag(path: Path, count: int = 10, topic: str = "/text", first_ns: int = 
 def two_typed_bag(path: Path) -> Path:
     """Write a bag of two files: a topic has text in the first, and numbers in the second."""
     bag = BagWriter(path)
-    bag.write("/both", TEXT, serialize(make(TEXT, data="a")), 1)
+    bag.write("/both", TEXT, text("a"), 1)
     del bag.topics["/both"]
     bag.split()
     bag.write("/both", NUMBER, serialize(make(NUMBER, data=1.0)), 2)

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 import pytest
+from fixtures.made_bags import TEXT, text
 
 from trackslip_bags.disk import (
     LIBRARY,
@@ -15,12 +16,10 @@ from trackslip_bags.disk import (
     recorded_files,
     remove_recorded,
 )
-from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 
-TEXT = "std_msgs/msg/String"
-DATA = serialize(make(TEXT, data="a"))
+DATA = text("a")
 
 
 def recording(path: Path, files: int = 1, library: str = LIBRARY) -> Path:

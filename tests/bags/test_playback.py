@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from fixtures.made_bags import TEXT, text
 
 from trackslip_bags.input_filters import InputFilters, Withhold
-from trackslip_bags.messages import make, serialize
 from trackslip_bags.playback import OWN_OUTPUTS, Playback, PlayedMessage, played_messages, played_topics
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 
-TEXT = "std_msgs/msg/String"
 S = 1_000_000_000
 BEGIN_NS = 1_000 * S
 
@@ -34,7 +33,7 @@ def path(tmp_path: Path) -> Path:
     with BagWriter(tmp_path / "bag") as bag:
         for t in range(10):
             for topic in ("/sprockets", "/odometry", "/clock", "/diagnostics"):
-                bag.write(topic, TEXT, serialize(make(TEXT, data=f"{topic} {t}")), BEGIN_NS + t * S)
+                bag.write(topic, TEXT, text(f"{topic} {t}"), BEGIN_NS + t * S)
     return tmp_path / "bag"
 
 

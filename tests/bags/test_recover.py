@@ -12,13 +12,12 @@ from typing import Any
 
 import pytest
 import zstandard
-from fixtures.made_bags import damage_chunk
+from fixtures.made_bags import IMU, MS, TEXT, damage_chunk, imu
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.qos import offered_qos
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
@@ -27,14 +26,8 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_tools.cli.main import main
 
-IMU, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
-MS = 1_000_000
 COUNT = 400
 LATCHED = offered_qos(latched=True)
-
-
-def imu(i: int) -> bytes:
-    return serialize(make(IMU, header=header(i * 10 * MS, f"imu {i}")))
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +38,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bag.add_topic("/imu", IMU, LATCHED)
         bag.add_topic("/silent", TEXT)
         for i in range(COUNT):
-            bag.write("/imu", IMU, imu(i), i * 10 * MS, i * 9 * MS)
+            bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS, i * 9 * MS)
     return path
 
 
@@ -90,7 +83,7 @@ def test_cut_bag_is_recovered_up_to_its_last_whole_chunk(
     recovered = contents(tmp_path / "bag_recovered")
     assert len(recovered) % 50 == 0
     assert len(recovered) >= (share - 0.3) * COUNT
-    assert recovered == [imu(i) for i in range(len(recovered))]
+    assert recovered == [imu(i * 10 * MS) for i in range(len(recovered))]
     assert hashlib.sha256((damaged / "bag_0.mcap").read_bytes()).digest() == before
     assert [file.name for file in damaged.iterdir()] == ["bag_0.mcap"]
 
@@ -119,13 +112,13 @@ def test_damaged_chunk_loses_only_its_own_messages(
     printed = capsys.readouterr().out
     assert "bag_0.mcap: 1 damaged chunks\n" in printed
     assert "lost: 50 of 400 messages\n" in printed
-    assert contents(tmp_path / "out") == [imu(i) for i in range(COUNT) if i // 50 != number]
+    assert contents(tmp_path / "out") == [imu(i * 10 * MS) for i in range(COUNT) if i // 50 != number]
 
 
 def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", split_duration=1.0) as bag:
         for i in range(COUNT):
-            bag.write("/imu", IMU, imu(i), i * 10 * MS)
+            bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS)
     last = tmp_path / "bag" / "bag_3.mcap"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
     (tmp_path / "bag" / "metadata.yaml").unlink()
@@ -136,7 +129,7 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     assert (recovery.truncated_files, len(recovery.problems)) == (1, 1)
     assert len(list((tmp_path / "out").glob("*.mcap"))) == 4
     recovered = contents(tmp_path / "out")
-    assert recovered == [imu(i) for i in range(len(recovered))]
+    assert recovered == [imu(i * 10 * MS) for i in range(len(recovered))]
     assert 300 <= len(recovered) < 400
 
 
@@ -191,7 +184,7 @@ def test_bags_of_ros2_bag_are_read_and_recovered(
     with writer as bag:
         connection = bag.add_connection("/imu", IMU, typestore=typestore())
         for i in range(20):
-            bag.write(connection, i * 10 * MS, imu(i))
+            bag.write(connection, i * 10 * MS, imu(i * 10 * MS))
     if not with_metadata:
         (tmp_path / "bag" / "metadata.yaml").unlink()
     paths = [tmp_path / "bag"]
@@ -199,9 +192,9 @@ def test_bags_of_ros2_bag_are_read_and_recovered(
         paths += [file for file in paths[0].iterdir() if file.suffix != ".yaml"]
     for path in paths:
         with open_bag(path) as opened:
-            assert [message.raw for message in opened.messages()] == [imu(i) for i in range(20)]
+            assert [message.raw for message in opened.messages()] == [imu(i * 10 * MS) for i in range(20)]
     assert recover(tmp_path / "bag", tmp_path / "out").messages == 20
-    assert contents(tmp_path / "out") == [imu(i) for i in range(20)]
+    assert contents(tmp_path / "out") == [imu(i * 10 * MS) for i in range(20)]
 
 
 def test_compressed_files_before_a_cut_one_are_recovered(whole: Path, tmp_path: Path) -> None:
@@ -292,6 +285,6 @@ def test_random_damage_never_makes_a_bad_bag(whole: Path, tmp_path: Path, seed: 
     (tmp_path / "bag_0.mcap").write_bytes(bytes(data))
     recover(tmp_path / "bag_0.mcap", tmp_path / "out")
     recovered = contents(tmp_path / "out")
-    number_of = {imu(i): i for i in range(COUNT)}
+    number_of = {imu(i * 10 * MS): i for i in range(COUNT)}
     numbers = [number_of[raw] for raw in recovered]
     assert numbers == sorted(set(numbers))

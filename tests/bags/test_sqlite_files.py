@@ -8,22 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from fixtures.made_bags import IMU, MS, imu
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
 from trackslip_bags.types import typestore
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_tools.cli.main import main
 
-IMU = "sensor_msgs/msg/Imu"
-MS = 1_000_000
 COUNT = 300
-
-
-def imu(i: int) -> bytes:
-    return serialize(make(IMU, header=header(i * 10 * MS, f"imu {i}")))
 
 
 def written(path: Path, count: int) -> Path:
@@ -31,7 +25,7 @@ def written(path: Path, count: int) -> Path:
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
         connection = bag.add_connection("/imu", IMU, typestore=typestore())
         for i in range(count):
-            bag.write(connection, i * 10 * MS, imu(i))
+            bag.write(connection, i * 10 * MS, imu(i * 10 * MS))
     (path / "metadata.yaml").unlink()
     return path / f"{path.name}.db3"
 
@@ -46,7 +40,7 @@ def killed(tmp_path: Path, journal_mode: str, before: int) -> Path:
     database.execute("PRAGMA cache_size=1")  # changes are written before the transaction ends
     database.execute("BEGIN")
     for i in range(before, COUNT):
-        row = (1, i * 10 * MS, imu(i))
+        row = (1, i * 10 * MS, imu(i * 10 * MS))
         database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
     if journal_mode == "WAL":
         database.execute("COMMIT")
@@ -66,7 +60,7 @@ def test_messages_in_the_write_ahead_log_are_read(tmp_path: Path, before: int, k
     content = database.read_bytes()
     with open_bag(bag) as opened:
         assert opened.message_count == COUNT
-        assert [message.raw for message in opened.messages()] == [imu(i) for i in range(COUNT)]
+        assert [message.raw for message in opened.messages()] == [imu(i * 10 * MS) for i in range(COUNT)]
     assert recover(bag, tmp_path / "out").messages == COUNT
     assert database.read_bytes() == content
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import yaml
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
@@ -21,6 +22,12 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
 
 _TEXTS = ("/slip_estimator/parameters", "/vehicle")
+_TEXTS_FOR_METADATA = (
+    *(b"", bytes(4096), b"# " + b"x" * 17_000_000, b"---\n" * 5000),
+    b"rosbag2_bagfile_information:\n" + b"  - x\n" * 800_000,
+    b"rosbag2_bagfile_information: &a {version: *a}",
+    b"a: &a [x,x]\n" + b"".join(b"b%d: &b%d [*a,*a]\n" % (k, k) for k in range(20)),
+)
 _MAPPING = "topics: {sprockets: {from: /joint_states, left: [left], right: [right]}}\n"
 _MSG = b"""std_msgs/Header header
 string[] name
@@ -107,7 +114,15 @@ def metadata(folder: Path) -> Reader:
         (bag / "metadata.yaml").write_bytes(path.read_bytes())
         return max(main(["info", str(bag)]), run(folder, "recover", str(bag)))
 
-    return Reader([(BAG / "metadata.yaml").read_bytes()], read)
+    seed = (BAG / "metadata.yaml").read_bytes()
+    tree = yaml.safe_load(seed)
+    information = tree["rosbag2_bagfile_information"]
+    (name,) = information["relative_file_paths"]
+    bombs = [*_TEXTS_FOR_METADATA]
+    for paths in ([name] * 20_000, ["./" * k + name for k in range(200)], ["x/../" * 100 + name]):
+        information["relative_file_paths"] = paths
+        bombs.append(yaml.safe_dump(tree).encode())
+    return Reader([seed], read, bombs=bombs)
 
 
 def definition(folder: Path) -> Reader:

@@ -1,155 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that are hostile outside of their messages: metadata, MCAP records, file names, other files."""
+"""Bags that are hostile outside of their messages: MCAP records, file names, other files.
+
+``hostile_bags.py`` has hostile metadata.
+"""
 
 import os
 import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import yaml
 from mcap.writer import CompressionType, IndexType, Writer
 
 from hostile_messages import Family, Line, good, write
 from trackslip_bags.writer import own_schema
-
-_INFORMATION = "rosbag2_bagfile_information"
-_TIMES: tuple[Any, ...] = (
-    *(-1, 0, 1, -(2**63), 2**62, 2**63 - 2, 2**63 - 1, 2**63, 10**30, 1.5, 1e300, "x", None, [], {}, True),
-)
-_COUNTS: tuple[Any, ...] = (-1, 0, 1, 2**62, 10**30, 1.5, "x", None, [])
-_WORDS: tuple[Any, ...] = (
-    *("", "x", "\x1b[2J", "a" * 100_000, "\udcff", 1, None, [], {}, "/", "std_msgs/msg/String", "a/b/c/d"),
-)
-_FIELDS: dict[tuple[Any, ...], tuple[Any, ...]] = {
-    ("version",): (-1, 0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 99, 10**30, "x", None, 1.5),
-    ("storage_identifier",): ("sqlite3", *_WORDS),
-    ("duration", "nanoseconds"): _TIMES,
-    ("starting_time", "nanoseconds_since_epoch"): _TIMES,
-    ("message_count",): _COUNTS,
-    ("duration",): (None, 1, "x", [], {}),
-    ("starting_time",): (None, 1, "x", [], {}),
-    ("compression_format",): ("zstd", "lz4", *_WORDS),
-    ("compression_mode",): ("FILE", "file", "MESSAGE", "message", *_WORDS),
-    ("topics_with_message_count",): (None, 1, "x", [], {}, [1], [{}], [None]),
-    ("topics_with_message_count", 0, "message_count"): _COUNTS,
-    ("topics_with_message_count", 0, "topic_metadata"): (None, 1, "x", [], {}),
-    ("topics_with_message_count", 0, "topic_metadata", "name"): _WORDS,
-    ("topics_with_message_count", 0, "topic_metadata", "type"): _WORDS,
-    ("topics_with_message_count", 0, "topic_metadata", "serialization_format"): ("cbor", *_WORDS),
-    ("topics_with_message_count", 0, "topic_metadata", "offered_qos_profiles"): (
-        *("", "x", "[" * 5000, [], [1], {}, None, [{}], [{"history": 99}], [{"depth": -1}]),
-        "- history: 3\n" * 9000,
-    ),
-    ("topics_with_message_count", 0, "topic_metadata", "type_description_hash"): _WORDS,
-    ("relative_file_paths",): (
-        *(None, 1, "x", [], {}, [1], [None], [""], ["."], [".."], ["/"], ["metadata.yaml"]),
-    ),
-    ("relative_file_paths", 0): (
-        *("/dev/zero", "/etc/passwd", "../../../../etc/passwd", "\0", "a" * 5000, "x.db3", "x.mcap"),
-        *("bag_0.mcap/", "~"),
-    ),
-    ("files",): (None, 1, "x", [], {}, [1], [{}], [None]),
-    ("files", 0, "path"): ("/dev/zero", "../x", 1, None, "\0"),
-    ("files", 0, "duration", "nanoseconds"): _TIMES,
-    ("files", 0, "starting_time", "nanoseconds_since_epoch"): _TIMES,
-    ("files", 0, "message_count"): _COUNTS,
-    ("custom_data",): (1, "x", [], {"a": "b" * 100_000}, [None], {1: 2}),
-    ("ros_distro",): (1, None, [], "a" * 100_000, "\x1b[2J"),
-}
-
-
-class _WholeDumper(yaml.Dumper):
-    """Writes repeated values in full, without aliases."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def metadata() -> Family:
-    """Each field of ``metadata.yaml`` with hostile values, and texts that are no metadata."""
-    for names, values in _FIELDS.items():
-        for value in values:
-            swap = partial(_set, names, value)
-            yield f"metadata.{'.'.join(map(str, names))}={value!r:.40}", partial(_with_tree, swap)
-    required = ("version", "duration", "starting_time", "message_count", "relative_file_paths")
-    for name in (*required, "storage_identifier"):
-        yield f"metadata without {name}", partial(_with_tree, partial(_drop, name))
-    for count in (2, 100, 2000, 20_000):
-        files, topics = ("relative_file_paths", "files"), ("topics_with_message_count",)
-        yield f"metadata with one file {count} times", partial(_with_tree, partial(_repeat, files, count))
-        yield f"metadata with topics {count} times", partial(_with_tree, partial(_repeat, topics, count))
-        for form in ("./" * count + "bag_0.mcap", "x/../" * min(count, 100) + "bag_0.mcap"):
-            dotted = partial(_add_dotted, form, count)
-            yield f"metadata with one file as {form[:9]} {count}", partial(_with_tree, dotted)
-    texts = {
-        "empty": b"",
-        "zeros": bytes(4096),
-        "not utf8": b"\xff\xfe\x80",
-        "word": b"x",
-        "list": b"- 1",
-        "null": b"~",
-        "brackets": b"[" * 100_000,
-        "flow": b"{" * 3000,
-        "digits": b"a: " + b"9" * 5000,
-        "large": b"# " + b"x" * 17_000_000,
-        "large list": b"rosbag2_bagfile_information:\n" + b"  - x\n" * 800_000,
-        "tag": b"!!python/object:os.system ls",
-        "bomb": b"a: &a [x,x]\n" + b"".join(b"b%d: &b%d [*a,*a]\n" % (k, k) for k in range(20)),
-        "documents": b"---\n" * 5000,
-        "itself": b"rosbag2_bagfile_information: &a {version: *a}",
-        "tab": b"\t",
-        "bomb of nine": _bomb(),
-    }
-    for name, text in texts.items():
-        yield f"metadata={name}", partial(_with_text, text)
-
-
-def _set(names: tuple[Any, ...], value: Any, tree: Any) -> None:
-    for name in names[:-1]:
-        tree = tree[name]
-    tree[names[-1]] = value
-
-
-def _drop(name: str, tree: dict[str, Any]) -> None:
-    del tree[name]
-
-
-def _repeat(names: tuple[str, ...], count: int, tree: dict[str, Any]) -> None:
-    for name in names:
-        tree[name] *= count
-
-
-def _add_dotted(form: str, count: int, tree: dict[str, Any]) -> None:
-    (path,) = tree["relative_file_paths"]
-    tree["relative_file_paths"] = [path, *("./" * k + path for k in range(min(count, 200))), form]
-
-
-def _bomb() -> bytes:
-    rows = ["a0: &a0 [x,x,x,x,x,x,x,x,x]"] + [
-        f"a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)
-    ]
-    return "\n".join(rows).encode()
-
-
-def _with_tree(change: Callable[[dict[str, Any]], None], folder: Path) -> Path:
-    bag = write(good(), folder)
-    tree = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
-    change(tree[_INFORMATION])
-    text = yaml.dump(tree, sort_keys=False, Dumper=_WholeDumper)
-    (bag / "metadata.yaml").write_bytes(text.encode("utf-8", "surrogateescape"))
-    return bag
-
-
-def _with_text(text: bytes, folder: Path) -> Path:
-    bag = write(good(), folder)
-    (bag / "metadata.yaml").write_bytes(text)
-    return bag
-
-
-# --- MCAP
 
 
 def damages() -> Family:
@@ -467,4 +332,4 @@ def _packed_zeros() -> bytes:
     return b"".join(packer.compress(bytes(1 << 20)) for _ in range(1000)) + packer.flush()
 
 
-FAMILIES_OF_CONTAINERS: tuple[Callable[[], Family], ...] = (metadata, damages, records, names)
+FAMILIES_OF_CONTAINERS: tuple[Callable[[], Family], ...] = (damages, records, names)

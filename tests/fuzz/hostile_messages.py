@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import yaml
+from fixtures.made_bags import TEXT
 
 from trackslip_bags.messages import deserialize, header, make, serialize
 from trackslip_bags.reader import open_bag
@@ -29,7 +30,6 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.cli.main import main
 
-TEXT = "std_msgs/msg/String"
 LAST_S = 7.0  # s, of the valid recording: a straight, and turns
 # topics of which few messages suffice
 _THINNED = ("/truth/", "/odometry", "/track_slip", "/machine_state", "/attitude", "/imu/mag")

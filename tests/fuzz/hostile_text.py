@@ -30,7 +30,7 @@ SWAPS: tuple[Any, ...] = (
     *("x", "nan", "1e3", "\x1b[2J", "a" * 5000, [], {}, [[]], [{}], {"a": {"b": {"c": {}}}}, {1: 2}),
     {None: 1},
     *(date(2026, 1, 1), b"\xff", [1] * 1000, [None], [float("nan")] * 3, {"x": [1, {"y": None}]}),
-    "../../etc",
+    *("../../etc", "/dev/zero", "/etc/passwd", "..", "\0", "~", "x.db3", "sqlite3", "zstd", "message"),
 )
 
 

@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-import yaml
 
 import hostile_recordings
-from hostile_containers import metadata, records
+from hostile_containers import records
 from hostile_messages import Made
 
 SMALL = [(name, made) for name, made in records() if "MB" not in name and "0000" not in name]
@@ -18,13 +17,6 @@ SMALL = [(name, made) for name, made in records() if "MB" not in name and "0000"
 @pytest.mark.parametrize(("name", "made"), SMALL, ids=[name for name, _ in SMALL])
 def test_hostile_file_is_written(name: str, made: Made, tmp_path: Path) -> None:
     assert made(tmp_path).stat().st_size > 0, name
-
-
-def test_hostile_metadata_is_made_without_a_change_to_the_dumper_of_yaml(tmp_path: Path) -> None:
-    (make,) = (made for name, made in metadata() if name == "metadata with topics 2 times")
-    assert "*" not in (make(tmp_path) / "metadata.yaml").read_text(encoding="utf-8")
-    shared = [1]
-    assert "*" in yaml.dump([shared, shared])
 
 
 @pytest.mark.parametrize(
