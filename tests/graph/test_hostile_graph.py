@@ -60,7 +60,7 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
         pose.header.frame_id = frame
         subscription.callback(serialize_message(pose))
     assert estimator.tally.total["box_pose", "of another frame"] == 2
-    assert "box_pose of another frame" in estimator.health()[0].values
+    assert "box_pose: of another frame" in estimator.health()[0].values
 
 
 def test_flood_of_messages_is_dropped_and_its_publisher_named(

@@ -48,7 +48,7 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     assert outcomes[:2] == [10, 0]  # begun, accepted
     assert set(outcomes[2:]) == {0}
     assert estimates[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # track slip is 10 %
-    key = "camera/odom whose covariance marks the velocity as absent"
+    key = "camera/odom: whose covariance marks the velocity as absent"
     observer.wait(lambda: any(key in {v.key for v in s.values} for s in healths), "its count")
     assert recorder.end()[0] == 0
     summary = programs.replay("bag")

@@ -39,7 +39,7 @@ def test_orientation_is_used_and_one_without_a_covariance_is_counted(programs, o
         feed("imu/data_raw", imu)
 
     def counted():
-        counts = [pair for h in healths for pair in h.values if pair.key == "imu/data_raw no_covariance"]
+        counts = [pair for h in healths for pair in h.values if pair.key == "imu/data_raw: no_covariance"]
         return counts and counts[-1].value == "10"
 
     observer.wait(counted, "ten that have no covariance")

@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 from trackslip_msgs.msg import MeasurementReport
 
 PEER = Path(__file__).with_name("tf_peer.py")
-REFUSED = "imu/data_raw of a frame without a transform to base_link in /tf_static"
+REFUSED = "imu/data_raw: of a frame without a transform to base_link in /tf_static"
 STEP_MS, RATE = 20, 0.4  # yaw rate, rad/s
 SPEED = RATE * 0.73 / 2.0 / 0.159  # sprocket speed of the PC05 in a pivot turn, rad/s
 

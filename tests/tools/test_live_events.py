@@ -4,6 +4,8 @@
 
 import math
 
+import pytest
+
 from trackslip_tools.report.events import MAX_EVENTS, Events
 from trackslip_tools.report.lights import Level, Light
 
@@ -77,11 +79,12 @@ def test_alternating_state_does_not_fill_the_event_list() -> None:
     assert len(events.recent) == 2
 
 
-def test_rejection_by_the_gate_is_reported_when_it_begins() -> None:
+@pytest.mark.parametrize("key", ["box_pose: gated", "box_pose gated"])
+def test_rejection_by_the_gate_is_reported_when_it_begins(key: str) -> None:
     events = Events()
     counts = [0, 0, 3, 5, 9, *[9] * 10, 10]
     for k, count in enumerate(counts):
-        events.add_value_changes({"box_pose gated": str(count), "sprockets waiting": "7"}, float(k), 0.0)
+        events.add_value_changes({key: str(count), "sprockets waiting": "7"}, float(k), 0.0)
     assert reported(events) == ["gate rejects box_pose", "gate rejects box_pose"]
 
 

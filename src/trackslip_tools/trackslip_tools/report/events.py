@@ -21,7 +21,7 @@ _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _LESS_PROBABLE = re.compile(r"\b\w+ explanations for [\d.]+ s: ([^(]*) \(.*")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
 _LOST_PREFIX = "nothing accepted of "
-_GATED_SUFFIX = " gated"  # key of a count: ``source gated``
+_GATED_SUFFIX = " gated"  # key of a count: ``source: gated``, in earlier bags ``source gated``
 _NOT_OBSERVED = "not observed yet"  # value of a learned quantity before its first observation
 _REPLAYED_NODES = ("slip_estimator", "soil_estimator")  # a replay computes their events itself
 _JUST_SILENT_S = 1.001 * SILENT_S  # just after the timeout
@@ -74,7 +74,9 @@ class Events:
         """Add events from the values of one status: gate rejections, and newly observed quantities."""
         for key, text in list(values.items())[:_MOST_VALUES]:
             if key.endswith(_GATED_SUFFIX):
-                self._add_gate_rejection(key.removesuffix(_GATED_SUFFIX), text, now_s, time_ms)
+                self._add_gate_rejection(
+                    key.removesuffix(_GATED_SUFFIX).removesuffix(":"), text, now_s, time_ms
+                )
             elif text == _NOT_OBSERVED and len(self._unknown) < _MOST_VALUES:
                 self._unknown.add(key)
             elif key in self._unknown:
