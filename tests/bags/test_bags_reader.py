@@ -204,14 +204,6 @@ def test_a_cut_file_opens_up_to_its_last_whole_chunk(
         assert next(iter(bag.messages(start_ns=bag.end_ns))).log_time_ns == bag.end_ns
 
 
-def test_file_without_a_summary_is_read_whole(tmp_path: Path) -> None:
-    path = write_long(tmp_path / "bag")
-    file = path / "bag_0.mcap"
-    file.write_bytes(file.read_bytes()[:-8])
-    with open_bag(path) as bag:
-        assert len(times(bag)) == 400
-
-
 def test_bag_without_metadata_is_read_whole(tmp_path: Path) -> None:
     path = write_long(tmp_path / "bag")
     (path / "metadata.yaml").unlink()

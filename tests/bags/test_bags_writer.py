@@ -168,7 +168,7 @@ from trackslip_bags.writer import BagWriter
 bag = BagWriter({bag!r})
 for i in range({count}):
     stamp_ns = i * 10_000_000
-    data = imu(stamp_ns)
+    data = serialize(make("sensor_msgs/msg/Imu", header=header(stamp_ns, "imu_link")))
     bag.write("/imu", "sensor_msgs/msg/Imu", data, stamp_ns)
 os.kill(os.getpid(), signal.SIGKILL)
 """

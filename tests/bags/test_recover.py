@@ -133,12 +133,6 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     assert 300 <= len(recovered) < 400
 
 
-def test_one_file_of_a_bag_is_recovered_alone(damaged: Path, tmp_path: Path) -> None:
-    cut(damaged, 0.5)
-    assert main(["recover", str(damaged / "bag_0.mcap")]) == ExitCode.DONE
-    assert contents(damaged / "bag_0_recovered")
-
-
 def test_a_whole_bag_loses_nothing(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["recover", str(whole), "--output", str(tmp_path / "out")]) == ExitCode.DONE
     assert capsys.readouterr().out.startswith("nothing was lost\n")

@@ -129,14 +129,6 @@ class Scanner:
 
 
 @pytest.mark.parametrize("baud", [38400, 500000])
-def test_stamps_of_scans(baud):
-    scanner, stamps = Scanner(baud), []
-    for now in reads(3, 60, GATHER):
-        stamps += scanner.exchange(now)
-    assert p99(np.array(stamps), scanner.device) < 5.0
-
-
-@pytest.mark.parametrize("baud", [38400, 500000])
 def test_scans_within_a_second_of_power(baud):
     """Scans return within a second of the end of the boot, for any time and duration of the power failure."""
     random = np.random.default_rng(4)

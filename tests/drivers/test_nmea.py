@@ -304,15 +304,3 @@ def test_slow_antenna_without_a_course_has_zero_velocity():
 def test_heading_and_yaw_are_each_other_s_inverse(yaw):
     assert math.cos(yaw_of_heading(heading_of_yaw(yaw)) - yaw) == pytest.approx(1.0)
     assert -math.pi < yaw_of_heading(heading_of_yaw(yaw)) <= math.pi
-
-
-@given(
-    st.binary(max_size=200),
-    st.sampled_from(["GGA", "GST", "RMC", "VTG", "HDT", "THS", "TNL,AVR"]),
-    st.text(max_size=80),
-)
-def test_any_bytes_and_any_fields_raise_no_exception(noise, kind, fields):
-    decode(noise)
-    content = f"GN{kind},{fields}".encode("ascii", "ignore").decode()
-    decode(line(content))
-    decode(line("PASHR," + content))

@@ -6,13 +6,11 @@ import itertools
 
 import numpy as np
 import pytest
-from fixtures.driver_defaults import PLS
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from trackslip_common.tally import Tally
-from trackslip_drivers.protocols.sick_commands import parse_reply
-from trackslip_drivers.protocols.sick_scan import RawScan, decode_scan, parse_scan
+from trackslip_drivers.protocols.sick_scan import RawScan, parse_scan
 from trackslip_drivers.protocols.sick_telegram import (
     FROM_SENSOR,
     MAX_TELEGRAM,
@@ -137,10 +135,3 @@ def test_scan_with_a_changed_byte_is_rejected(position: int, flip: int, seed: in
 def test_scan_with_lost_bytes_is_rejected(position: int, lost: int, seed: int) -> None:
     whole = scan_frame(seed)
     assert_only_following_scans_are_received(whole[:position] + whole[position + lost :], seed)
-
-
-@given(payload=st.binary(min_size=1, max_size=30))
-def test_any_payload_is_understood_or_refused(payload: bytes) -> None:
-    parse_reply(payload)
-    parse_scan(payload)
-    decode_scan(Telegram(payload, 0, 0), PLS)

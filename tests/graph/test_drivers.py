@@ -318,11 +318,6 @@ def test_lifecycle(bench, programs, observer, node):
     assert "Traceback" not in program.stderr
 
 
-def test_autostart_ends_in_active(bench, programs, observer):
-    programs.node("watson_imu", **bench["watson_imu"][1])
-    observer.wait_until_active("watson_imu")
-
-
 @pytest.mark.parametrize("priority", [7, 0])
 def test_realtime_priority(bench, programs, observer, priority):
     """All threads of the process have the priority, or the node reports that the host refuses it."""

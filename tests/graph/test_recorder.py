@@ -289,27 +289,6 @@ def test_topics_of_others_are_recorded_by_expression(programs, observer):
         assert "/other/note" not in bag.topics
 
 
-@pytest.mark.slow
-def test_a_bag_is_split_by_time_and_read_as_one(programs, observer):
-    recorder = Recorder(programs, observer, split_duration=0.5)
-    publisher = observer.publisher("sprockets")
-    recorder.wait_for("sprockets")
-    sent = 0
-
-    def enough():
-        nonlocal sent
-        publisher.publish(numbered(sent))
-        sent += 1
-        return len(list(recorder.path.glob("*.mcap"))) >= 4
-
-    observer.wait(enough, "four files")
-    recorder.wait(lambda: recorder.count("sprockets") == sent, "all to be written")
-    assert recorder.program.end()[0] == 0
-    assert read_strictly(recorder.path) == list(range(sent))
-    with open_bag(recorder.path) as bag:
-        assert bag.damage == ""
-
-
 @pytest.mark.parametrize("kind", [Imu, QuaternionStamped])
 def test_headings_are_recorded_by_the_type_that_is_published(programs, observer, kind):
     recorder = Recorder(programs, observer)
