@@ -1,14 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""SICK telegrams: known byte vectors, the search for telegrams in garbage, and their times."""
+"""SICK telegrams: known byte vectors, their times, and their search in any bytes: none is lost or wrong."""
 
+import itertools
 from random import Random
 
+import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_crc import sick_crc
+from trackslip_drivers.protocols.sick_scan import RawScan, parse_scan
 from trackslip_drivers.protocols.sick_telegram import (
     FROM_SENSOR,
     MAX_PAYLOAD,
@@ -61,18 +66,37 @@ ACK, NAK = b"\x06", b"\x15"
 
 
 class Receiver:
-    """A parser with its tally, and a shorthand for the counts."""
+    """A parser whose reads come a millisecond apart unless a test states their times; it counts all bytes."""
 
     def __init__(self, address: int = FROM_SENSOR) -> None:
         self.tally = Tally()
         self.parser = TelegramParser(address, 38_400, 11, self.tally, "scan")
+        self.now_ns = 0
+        self.used = 0  # bytes of telegrams and controls
+        self.payloads: list[bytes] = []
 
-    def feed(self, data: bytes, arrival_ns: int = 0) -> list[bytes | Control]:
-        events = self.parser.feed(data, arrival_ns)
-        return [event.payload if isinstance(event, Telegram) else event for event in events]
+    def feed(self, data: bytes, arrival_ns: int | None = None) -> list[bytes | Control]:
+        self.now_ns = self.now_ns + MS if arrival_ns is None else arrival_ns
+        received: list[bytes | Control] = []
+        for event in self.parser.feed(data, self.now_ns):
+            if isinstance(event, Telegram):
+                assert event.end_ns <= self.now_ns
+                self.payloads.append(event.payload)
+                self.used += len(make_telegram(event.payload, FROM_SENSOR))
+            else:
+                self.used += 1
+            received.append(event.payload if isinstance(event, Telegram) else event)
+        assert self.parser.bytes_held < MAX_TELEGRAM
+        return received
+
+    def wait(self) -> None:
+        self.feed(b"", self.now_ns + SILENCE_NS)
 
     def counted(self, fault: TelegramFault) -> int:
         return self.tally.total["scan", fault.value]
+
+    def garbage(self) -> int:
+        return self.counted(TelegramFault.GARBAGE_BYTE)
 
 
 @pytest.mark.parametrize(("wire", "payload", "address"), VECTORS)
@@ -115,13 +139,13 @@ def test_controls_are_received_between_telegrams() -> None:
 def test_telegrams_of_the_other_direction_are_garbage() -> None:
     receiver = Receiver(TO_SENSOR)
     assert receiver.feed(OK) == []
-    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
+    assert receiver.garbage() == len(OK)
 
 
 def test_garbage_costs_no_telegram_and_hides_controls_within() -> None:
     receiver = Receiver()
     assert receiver.feed(b"\xff\x06\x02\x15" + OK + ACK) == [b"\xa0\x00\x00", Control.ACK]
-    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == 4
+    assert receiver.garbage() == 4
 
 
 def test_a_silence_ends_garbage() -> None:
@@ -144,7 +168,7 @@ def test_a_corrupt_telegram_is_counted_and_the_next_one_received() -> None:
     corrupt[5] ^= 0x10
     assert receiver.feed(bytes(corrupt) + OK) == [b"\xa0\x00\x00"]
     assert receiver.counted(TelegramFault.BAD_CRC) == 1
-    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
+    assert receiver.garbage() == len(OK)
 
 
 def test_truncated_telegram_is_dropped_after_a_silence() -> None:
@@ -161,7 +185,7 @@ def test_bytes_of_the_old_baud_rate_are_dropped() -> None:
     assert receiver.feed(OK[:4]) == []
     receiver.parser.set_baud(9600)
     assert receiver.feed(OK) == [b"\xa0\x00\x00"]
-    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == 4
+    assert receiver.garbage() == 4
 
 
 def only(events: list[Telegram | Control]) -> Telegram:
@@ -197,3 +221,88 @@ def test_a_read_before_a_telegram_does_not_bound_its_time() -> None:
     assert parser.feed(b"\x02\x80\x09\x00", 0) == []
     telegram = only(parser.feed(OK + b"\xff\xff", 50 * MS))
     assert telegram.end_ns == 50 * MS - round(2 * CHAR_NS)
+
+
+words = st.lists(st.integers(0, 0xFFFF), min_size=361, max_size=361)
+# Noise that often resembles the start of a telegram.
+noise = st.lists(
+    st.one_of(
+        st.binary(max_size=40),
+        st.sampled_from([b"\x02", b"\x02\x80", b"\x02\x80\xd6\x02\xb0\x69\x01", b"\x06", b"\x15"]),
+        st.integers(0, 0xFFFF).map(lambda n: b"\x02\x80" + n.to_bytes(2, "little")),
+    ),
+    max_size=60,
+).map(b"".join)
+
+
+def scan_frame(seed: int) -> bytes:
+    values = np.random.default_rng(seed).integers(0, 0x10000, 361).astype(np.uint16)
+    return make_telegram(RawScan(values, status=0).payload(), FROM_SENSOR)
+
+
+@pytest.mark.slow
+@given(values=words, status=st.integers(0, 255), unit=st.integers(0, 3), partial=st.integers(0, 3))
+def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: int, partial: int) -> None:
+    scan = RawScan(np.array(values, dtype=np.uint16), status, unit, partial)
+    parsed = parse_scan(scan.payload())
+    assert isinstance(parsed, RawScan)
+    np.testing.assert_array_equal(parsed.values, scan.values)
+    assert (parsed.status, parsed.unit, parsed.partial) == (status, unit, partial)
+
+
+@given(data=noise, cuts=st.lists(st.integers(0, 400), max_size=20))
+def test_every_byte_of_noise_is_counted(data: bytes, cuts: list[int]) -> None:
+    receiver = Receiver()
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    for start, end in itertools.pairwise(edges):
+        receiver.feed(data[start:end])
+        assert receiver.used + receiver.garbage() + receiver.parser.bytes_held == end
+    receiver.wait()
+    assert receiver.parser.bytes_held == 0
+    assert receiver.used + receiver.garbage() == len(data)
+
+
+@given(before=noise, seed=st.integers(0, 1000))
+def test_every_scan_after_noise_is_received(before: bytes, seed: int) -> None:
+    receiver = Receiver()
+    scans = [scan_frame(seed + i) for i in range(3)]
+    receiver.feed(before)
+    for scan in scans:
+        receiver.feed(scan)
+    # A false start delays less than two scans and loses none.
+    assert receiver.payloads[:1] == [scans[0][4:-2]]
+    receiver.wait()
+    assert receiver.payloads == [scan[4:-2] for scan in scans]
+
+
+def test_a_telegram_may_be_split_anywhere() -> None:
+    whole = scan_frame(3)
+    for cut in range(len(whole) + 1):
+        receiver = Receiver()
+        receiver.feed(whole[:cut])
+        receiver.feed(whole[cut:])
+        assert receiver.payloads == [whole[4:-2]]
+        assert not receiver.tally.total
+
+
+def assert_only_following_scans_are_received(damaged: bytes, seed: int) -> None:
+    receiver, following = Receiver(), [scan_frame(seed + 1), scan_frame(seed + 2)]
+    for scan in (damaged, *following):
+        receiver.feed(scan)
+    receiver.wait()
+    assert receiver.payloads == [scan[4:-2] for scan in following]
+    assert receiver.used + receiver.garbage() == len(b"".join((damaged, *following)))
+
+
+@given(position=st.integers(0, 731), flip=st.integers(1, 255), seed=st.integers(0, 1000))
+@example(position=0, flip=4, seed=0)  # STX becomes an ACK, which is no garbage
+def test_scan_with_a_changed_byte_is_rejected(position: int, flip: int, seed: int) -> None:
+    changed = bytearray(scan_frame(seed))
+    changed[position] ^= flip
+    assert_only_following_scans_are_received(bytes(changed), seed)
+
+
+@given(position=st.integers(0, 731), lost=st.integers(1, 100), seed=st.integers(0, 1000))
+def test_scan_with_lost_bytes_is_rejected(position: int, lost: int, seed: int) -> None:
+    whole = scan_frame(seed)
+    assert_only_following_scans_are_received(whole[:position] + whole[position + lost :], seed)

@@ -79,7 +79,13 @@ def carried(folder: Path) -> Reader:
         return code
 
     parameters = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
-    return Reader([parameters.encode(), vehicle_text(load_vehicle()).encode()], read)
+    texts = (
+        "base: /etc/passwd",
+        "slip_estimator: 1",
+        "slip_estimator: {ros__parameters: {vehicle: /etc/passwd}}",
+    )
+    bombs = [b"x: " + b"y" * 2_000_000, parameters.encode() * 2, *(text.encode() for text in texts)]
+    return Reader([parameters.encode(), vehicle_text(load_vehicle()).encode()], read, bombs=bombs)
 
 
 def ros1(folder: Path) -> Reader:

@@ -429,7 +429,7 @@ _OTHERS: tuple[Any, ...] = (True, None, "x", [], {}, [1.0], 10**400, "\x1b[2J", 
 
 
 def vehicles() -> Family:
-    """The vehicle of the bag with one changed number, and texts that are no vehicle."""
+    """The vehicle of the bag with one changed value; ``hostile_bags.py`` has texts that are no vehicle."""
     text = vehicle_text(load_vehicle())
     for name, value in to_flat(load_vehicle()).items():
         for size in _SIZES if isinstance(value, float) else _OTHERS:
@@ -446,13 +446,11 @@ def vehicles() -> Family:
     for vehicle in sorted((config_directory() / "vehicles").glob("*.yaml")):
         other = vehicle_text(load_vehicle(vehicle.stem))
         yield f"vehicle is {vehicle.stem}", partial(_carrying, "/vehicle", other)
-    yield from _texts("/vehicle", text)
 
 
 def parameters() -> Family:
-    """Parameters of the bag: each at the ends of its range, and texts that are no parameters."""
+    """Parameters of the bag, each at the ends of its range."""
     p = load_slip_parameters()
-    text = parameters_text(to_flat(p), "slip_estimator")
     low: dict[str, Any] = {}
     high: dict[str, Any] = {}
     for name, kind, spec in flat_fields(p):
@@ -476,8 +474,6 @@ def parameters() -> Family:
             )
     yield "parameters=all low", partial(_carrying, "/slip_estimator/parameters", _parameters_with(p, low))
     yield "parameters=all high", partial(_carrying, "/slip_estimator/parameters", _parameters_with(p, high))
-    yield from _texts("/slip_estimator/parameters", text)
-    yield from _texts("/soil_estimator/parameters", text.replace("slip_", "soil_"))
 
 
 def _parameters_with(p: SlipEstimatorParameters, values: dict[str, Any]) -> str:
@@ -496,35 +492,6 @@ def _set(text: str, names: Sequence[str], value: Any) -> str:
 def _carrying(topic: str, text: str, folder: Path) -> Path:
     """The valid recording with ``text`` on a topic."""
     return write([_text(topic, text, good()[0].log_ns), *without(topic)], folder)
-
-
-def _texts(topic: str, good_text: str) -> Family:
-    """Texts that are no YAML, or not of the form."""
-    texts = {
-        "empty": "",
-        "word": "x",
-        "number": "1",
-        "list": "[1]",
-        "null": "~",
-        "brackets": "[" * 5000,
-        "steering": "\x1b[2J: \0",
-        "twice": good_text * 2,
-        "half": good_text[: len(good_text) // 2],
-        "long": "x: " + "y" * 2_000_000,
-        "aliases": "a: &a [*a]",
-        "bomb": "a: &a [x,x]\n" + "".join(f"b{k}: &b{k} [*a,*a]\n" for k in range(9)),
-        "tag": "!!python/object:os.system ls",
-        "nested": "slip_estimator: {ros__parameters: {a: {b: {c: 1}}}}",
-        "section": "slip_estimator: 1",
-        "words": "slip_estimator: {ros__parameters: x}",
-        "numbers as names": "{1: 2, null: 3, 1.5: 2}",
-        "nothing known": "slip_estimator: {ros__parameters: {x: 1}}",
-        "base": "base: pc05",
-        "base of a file": "base: /etc/passwd",
-        "vehicle": "slip_estimator: {ros__parameters: {vehicle: /etc/passwd}}",
-    }
-    for name, text in texts.items():
-        yield f"text{topic}={name}", partial(_carrying, topic, text)
 
 
 FAMILIES_OF_MESSAGES: tuple[Callable[[], Family], ...] = (
