@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip study``: its files, its use of the cache, and its refusals."""
+"""``trackslip study``: files and use of the cache of the slip study, and refusals of both studies."""
 
 import json
 import math
@@ -137,31 +137,46 @@ def test_cached_rows_equal_computed_ones(tmp_path: Path, monkeypatch: pytest.Mon
         study()
 
 
+REFUSED = [
+    ("slip soil", ["--soil", "mud"], "soil: 'mud' is unknown"),
+    ("slip soil", ["--soil", "lete_sand"], "mu_r"),
+    ("slip soil", ["--scenario", "waltz"], "scenario: 'waltz' is unknown"),
+    ("slip soil", ["--sigma-xy", "0"], "sigma_xy"),
+    ("slip soil", ["--sigma-xy", "nan"], "sigma_xy"),
+    ("slip soil", ["--seeds", "0"], "seeds"),
+    ("slip soil", ["--workers", "0"], "--workers"),
+    ("slip soil", ["--json", "/nowhere/rows.json"], "no such folder"),
+    ("slip soil", ["--output", "/dev/null/x"], "--output"),
+    ("slip soil", ["--cache", "/dev/null/x"], "--cache"),
+    ("slip", ["--sigma-omega", "-1"], "sigma_omega"),
+    (
+        "slip",
+        ["--settling", "9", "--duration", "9"],
+        "settling: 9 s is refused; accepted: up to 1 s less than",
+    ),
+    ("slip", ["--filter", "ukf"], "--filter"),
+    ("slip", ["--set", "slip_estimator.mass=3"], "mass"),
+    ("slip", ["--scenario", "slalom", "thesis"], "--scenario: 'thesis' is one too many; accepted: one"),
+    ("slip", ["--drawn"], "--drawn: does not go with --estimator slip"),
+    ("slip", ["--set", "soil_estimator.low_reserve=0.2"], "slip_estimator.<parameter>=<value>"),
+    ("soil", ["--filter", "ekf"], "--filter: does not go with --estimator soil"),
+    ("soil", ["--truth", "matched"], "--truth: does not go with --estimator soil"),
+    ("soil", ["--sigma-omega", "0.1"], "--sigma-omega: does not go with --estimator soil"),
+    ("soil", ["--settling", "5"], "--settling: does not go with --estimator soil"),
+    ("soil", ["--duration", "-1"], "duration"),
+    ("soil", ["--set", "soil_estimator.mass=3"], "mass"),
+    ("soil", ["--set", "box_localizer.rays=3"], "--set box_localizer.rays=3"),
+    ("box", [], "--estimator"),
+]
+
+
 @pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--soil", "mud"], "soil: 'mud' is unknown"),
-        (["--soil", "lete_sand"], "mu_r"),
-        (["--scenario", "waltz"], "scenario: 'waltz' is unknown"),
-        (["--sigma-xy", "0"], "sigma_xy"),
-        (["--sigma-xy", "nan"], "sigma_xy"),
-        (["--sigma-omega", "-1"], "sigma_omega"),
-        (["--seeds", "0"], "seeds"),
-        (["--settling", "9"], "settling: 9 s is refused; accepted: up to 1 s less than the duration, 9 s"),
-        (["--filter", "ukf"], "--filter"),
-        (["--workers", "0"], "--workers"),
-        (["--set", "slip_estimator.mass=3"], "mass"),
-        (["--json", "/nowhere/rows.json"], "no such folder"),
-        (["--output", "/dev/null/x"], "--output"),
-        (["--cache", "/dev/null/x"], "--cache"),
-        (["--scenario", "slalom", "thesis"], "--scenario: 'thesis' is one too many; accepted: one"),
-        (["--drawn"], "--drawn: does not go with --estimator slip"),
-        (["--set", "soil_estimator.low_reserve=0.2"], "slip_estimator.<parameter>=<value>"),
-    ],
+    ("estimator", "options", "message"), [(one, *case) for names, *case in REFUSED for one in names.split()]
 )
 def test_bad_input_is_one_line(
-    options: list[str], message: str, command: list[str], refuse: Callable[..., str]
+    estimator: str, options: list[str], message: str, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
+    command = ["study", "--estimator", estimator, "--cache", str(tmp_path / "cells.jsonl")]
     assert message in refuse(*command, *options)
 
 
