@@ -103,6 +103,30 @@ def test_a_section_of_another_form_is_refused(section: Any) -> None:
         node_parameters({"node": section}, "node", "file")
 
 
+@pytest.mark.parametrize("section", ["/node", "/*/node", "/**/node", "/*"])
+def test_section_that_ros_applies_to_a_node_is_read(section: str) -> None:
+    tree = {"/**": {"ros__parameters": {"a": 1}}, section: {"ros__parameters": {"a": 2}}}
+    assert node_parameters(tree, "node", "file") == {"a": 2}
+
+
+@pytest.mark.parametrize(
+    "tree",
+    [{"/digger/node": {"ros__parameters": {"a": 2}}}, {"digger": {"node": {"ros__parameters": {"a": 2}}}}],
+)
+def test_section_of_a_node_in_a_namespace_is_refused_beside_a_common_one(tree: dict[str, Any]) -> None:
+    shared = {"/**": {"ros__parameters": {"a": 1}}}
+    with pytest.raises(InputError, match=r"^file: section '/?digger.*; accepted: node, or /\*\*$"):
+        node_parameters(shared | tree, "node", "file")
+
+
+def test_parameters_that_ros_itself_declares_are_passed_over() -> None:
+    names = ("use_sim_time", "start_type_description_service", "qos_overrides")
+    tree = {
+        "node": {"ros__parameters": {"a": 1, **dict.fromkeys(names[:2], True), names[2]: {"/b": {"c": 1}}}}
+    }
+    assert node_parameters(tree, "node", "file") == {"a": 1}
+
+
 def test_the_parameters_of_a_mapping_are_those_of_the_estimator() -> None:
     tree = read_yaml(config_file("mappings/warthog.yaml"))["parameters"]
     p = slip_parameters.load_slip_parameters(flatten(tree))

@@ -159,6 +159,12 @@ sensors: {antenna: {x: -1.2, y: 0.6, z: 3.0}}
         ("0.35", "350.0", "rolling_radius: 350.0 is out of range; accepted: >= 0.005 and <= 2 m"),
         ("2.38", "238.0", "tread: 238.0 is out of range"),
         ("3.46", "346.0", "contact_length: 346.0 is out of range"),
+        (
+            "0.35, tread: 2.38",
+            "1.9, tread: 0.35",
+            "radius over contact length of 0.549; accepted: 0.01 to 0.5",
+        ),
+        ("2.38", "0.5", "contact length over tread of 6.92; accepted: 0.3 to 5"),
         ("track_width: 0.6", "track_width: 60.0", "track_width: 60.0 is out of range; accepted: >"),
         ("13500.0", "13.5", "upper_structure.mass and mass.mass (kg)"),
         ("13500.0", "22000.0", "share of the mass that swings of 1.05; accepted: 0.01 to 1"),
@@ -176,6 +182,25 @@ def test_numbers_in_other_units_are_refused(si: str, other: str, words: str, fil
         load_vehicle(str(file))
     assert words in str(refused.value)
     assert str(refused.value).startswith(f"{file}: ")
+
+
+def test_inconsistent_vehicle_is_refused_among_the_parameters_of_a_node() -> None:
+    with pytest.raises(InputError, match="rolling radius over contact length"):
+        load_slip_parameters({"vehicle": "excavator_20t", "vehicle.kinematics.rolling_radius": 1.9})
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("rolling_radius: 0.35\n", "kinematics.rolling_radius"),
+        ("vehicle: {kinematics: {tread: 2.0}}\n", "kinematics.tread"),
+        ("/**: {ros__parameters: {kinematics: {tread: 2.0}}}\n", "kinematics.tread"),
+    ],
+)
+def test_number_in_another_group_is_refused_with_its_group(text: str, meant: str, file: Path) -> None:
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=rf"unknown parameter '.*', did you mean '{meant}'\?$"):
+        load_vehicle(str(file))
 
 
 _SIZES = {  # r, B, l; m, I_z, b; V_m, n_g, p, Q; m_u

@@ -50,6 +50,20 @@ def test_values_are_read_as_ros_reads_them(text: str, value: object) -> None:
     assert parse_yaml(f"a: {text}", "text") == {"a": value}
 
 
+@pytest.mark.parametrize("text", ["a:\n\tb: 1\n", "a:\n  b: 1\n\tc: 2\n"])
+def test_tab_in_an_indent_is_named_with_its_line(text: str) -> None:
+    line = text[: text.index("\t")].count("\n") + 1
+    with pytest.raises(InputError, match=rf"^file: .*tab.*line {line}.*accepted: blanks"):
+        parse_yaml(text, "file")
+
+
+def test_place_of_a_yaml_error_is_a_line_and_a_column() -> None:
+    with pytest.raises(InputError) as refused:
+        parse_yaml("a: 1\nb:2\nc: 3\n", "file")
+    assert "line 2, column 1" in str(refused.value)
+    assert "<" not in str(refused.value)
+
+
 def test_control_characters_in_errors_are_escaped() -> None:
     error = InputError('unknown parameter "\x1b]0;title\x07" and\nmore')
     assert str(error).isprintable()

@@ -15,6 +15,9 @@ from trackslip_common.yaml_text import MAX_CHARACTERS, parse_mapping
 
 P = TypeVar("P", bound=Parameters)
 
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Beginnings of the names of parameters that ROS declares for every node."""
+
 
 def config_directory() -> Path:
     """``config/`` beside this module: in the checkout a link to the one at its root, else installed data."""
@@ -54,18 +57,22 @@ def read_yaml(path: Path) -> dict[str, Any]:
 def node_parameters(tree: Mapping[str, Any], node: str, where: str) -> dict[str, Any]:
     """A node's parameters in a ROS parameter file, as dotted names: its own section over ``/**``.
 
+    Those that ROS itself declares are left out.
+
     Raises:
-        InputError: the file is not in the form ``<node>: {ros__parameters: {…}}``.
+        InputError: a section is not in the form ``<node>: {ros__parameters: {…}}``, or in a namespace.
     """
     values: dict[str, Any] = {}
-    for section in ("/**", node):
-        if section not in tree:
-            continue
+    sections = ("/**", "/*", f"/**/{node}", f"/*/{node}", f"/{node}", node)
+    for section in (name for name in sections if name in tree):
         body = tree[section]
         if not isinstance(body, Mapping) or not isinstance(body.get("ros__parameters"), Mapping):
             raise InputError(f"{where}: section '{section}' has no 'ros__parameters' mapping")
         values |= flatten(body["ros__parameters"])
-    return values
+    for section in (str(name) for name, body in tree.items() if name not in sections):
+        if section.endswith(f"/{node}") or (isinstance(tree[section], Mapping) and node in tree[section]):
+            raise InputError(f"{where}: section '{section}' is of a namespace; accepted: {node}, or /**")
+    return {name: value for name, value in values.items() if not name.startswith(ROS_PARAMETERS)}
 
 
 def node_defaults(node: str, *files: str) -> dict[str, Any]:

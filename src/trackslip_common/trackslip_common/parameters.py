@@ -206,7 +206,7 @@ def _group_class(kind: Any) -> Any:
 
 
 def _hint(unknown: str, known: list[str]) -> str:
-    """Hint for the first unknown part of a dotted name: a similar name, or the accepted ones."""
+    """Hint for the first unknown part of a dotted name: a similar name, its group, or the accepted ones."""
     parts = unknown.split(".")
     for depth, part in enumerate(parts):
         before = "".join(f"{p}." for p in parts[:depth])
@@ -215,8 +215,9 @@ def _hint(unknown: str, known: list[str]) -> str:
         )
         if part not in accepted:
             similar = get_close_matches(part, list(accepted), n=1, cutoff=0.8)
-            if similar:
-                return f", did you mean '{before}{similar[0]}'?"
+            elsewhere = [name for name in known if name.rpartition(".")[2] == parts[-1]]
+            if similar or len(elsewhere) == 1:
+                return f", did you mean '{before + similar[0] if similar else elsewhere[0]}'?"
             return f"; accepted: {joined_names(before + name for name in accepted) or 'a value, no group'}"
     return f"; accepted: {joined_names(name for name in known if name.startswith(f'{unknown}.'))}"
 

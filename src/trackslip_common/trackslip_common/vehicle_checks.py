@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks that the numbers of a vehicle are consistent: finds wrong units that the range of no number shows.
 
+r/l, l/B               rolling radius over contact length, contact length over tread
 W/(2 b l)              ground pressure
 √(I_z/m)/l             radius of gyration over contact length
 η_m V_m n_g p/(π r W)  thrust of both tracks at relief pressure over weight
@@ -47,6 +48,11 @@ def check_consistency(vehicle: VehicleParameters, where: str) -> None:
 
 def _derived_quantities(vehicle: VehicleParameters) -> Iterator[_DerivedQuantity]:
     k, m, h, upper = vehicle.kinematics, vehicle.mass, vehicle.hydraulics, vehicle.upper_structure
+    inputs = "kinematics.rolling_radius, contact_length and tread (m)"
+    # two wheels of a side fit between the ends of the contact length
+    radius = k.rolling_radius / k.contact_length
+    yield _DerivedQuantity("rolling radius over contact length", radius, "", 0.01, 0.5, inputs)
+    yield _DerivedQuantity("contact length over tread", k.contact_length / k.tread, "", 0.3, 5.0, inputs)
     if m is not None:
         pressure = m.weight / (2.0 * m.track_width * k.contact_length)
         inputs = "mass.mass (kg), mass.track_width and kinematics.contact_length (m)"

@@ -32,6 +32,11 @@ class ParametersWithVehicle(Parameters):
 
     vehicle: VehicleParameters
 
+    def __post_init__(self) -> None:
+        """Check each parameter, and the vehicle as a whole."""
+        super().__post_init__()
+        check_consistency(self.vehicle, TOPIC)
+
     @classmethod
     def overlay(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
         """Values with others over them; a named vehicle replaces another one completely.

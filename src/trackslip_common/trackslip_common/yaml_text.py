@@ -83,11 +83,20 @@ def parse_yaml(text: str, where: str) -> Any:
     try:
         return yaml.load(text, Loader=_Loader)
     except _PARSER_ERRORS as error:
-        is_text = isinstance(error, (yaml.YAMLError, ValueError))
-        reason = " ".join(str(error).split()) if is_text else "a value that is not of its tag"
-        if "maximum nesting depth" in reason:  # PyYAML's own limit, from 6.0.4 on
-            reason = f"nested too deep; accepted: up to {_MAX_DEPTH} levels"
-        raise InputError(f"{where}: not YAML ({reason})") from error
+        raise InputError(f"{where}: not YAML ({_reason_of(error, text)})") from error
+
+
+def _reason_of(error: Exception, text: str) -> str:
+    """The reason why a text is not YAML, with its line and column."""
+    if not isinstance(error, (yaml.YAMLError, ValueError)):
+        return "a value that is not of its tag"
+    mark = getattr(error, "problem_mark", None)
+    if mark is not None and text[mark.index : mark.index + 1] == "\t":
+        return f"a tab in line {mark.line + 1}, column {mark.column + 1}; accepted: blanks"
+    reason = " ".join(str(error).split()).replace('in "<unicode string>", ', "in ")
+    if "maximum nesting depth" in reason:  # PyYAML's own limit, from 6.0.4 on
+        return f"nested too deep; accepted: up to {_MAX_DEPTH} levels"
+    return reason
 
 
 def parse_mapping(text: str, where: str) -> dict[str, Any]:

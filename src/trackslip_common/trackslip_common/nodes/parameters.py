@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from trackslip_common.config_files import node_defaults, read_yaml
+from trackslip_common.config_files import ROS_PARAMETERS, node_defaults, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameter_spec import Spec
 from trackslip_common.parameters import (
@@ -27,8 +27,6 @@ from trackslip_common.parameters import (
 )
 
 P = TypeVar("P", bound=Parameters)
-
-_ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +51,7 @@ def read_overrides(
     overrides = {
         key: entry.value
         for key, entry in node.get_parameters_by_prefix("").items()
-        if not key.startswith(_ROS_PARAMETERS)
+        if not key.startswith(ROS_PARAMETERS)
     }
     for key in overrides:
         node.undeclare_parameter(key)

@@ -15,7 +15,7 @@ from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
-from trackslip_common.errors import InputError, collect_output, show, suggestion
+from trackslip_common.errors import InputError, collect_output, did_you_mean, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, has_vehicle_name, load_vehicle, vehicle_layer
@@ -226,7 +226,8 @@ def _file_parameters(name: str, node: str, bag_layer: Mapping[str, Any]) -> Mapp
     others = current_names(node_parameters(tree, "", str(path))).keys() - known
     for other in sorted(others) if node == NODE else ():
         if other not in {n for n, _, _ in flat_fields(_PARAMETER_CLASSES[SOIL_NODE])}:
-            show(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
+            note = f"'{other}', given to many nodes, is none of {NODE}{did_you_mean(other, known)}"
+            show(f"note: {path}: {note}", file=sys.stderr)
     return {n: v for n, v in values.items() if n not in others}
 
 
