@@ -363,6 +363,16 @@ def test_times_that_lost_their_digits_are_refused_with_their_count(tmp_path: Pat
         imported(tmp_path, log, {"sprockets": WHEELS})
 
 
+def test_day_numbers_of_a_spreadsheet_become_dates(tmp_path: Path) -> None:
+    """45981.5 is 2025-11-20, 12:00."""
+    log = "t,l,r\n45981.5,1,1\n45981.5000001,1,1\n"
+    time = {"column": "t", "unit": "d"}
+    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time, start=-2209161600)
+    stamps = [stamp_ns_of(message) for message in messages["sprockets"]]
+    assert np.datetime64(stamps[0], "ns") == np.datetime64("2025-11-20T12:00")
+    assert stamps[1] - stamps[0] == 8_640_000
+
+
 def test_rows_that_share_a_time_are_counted(tmp_path: Path) -> None:
     log = "t,l,r\n" + "".join(f"{k // 5 / 2},2,3\n" for k in range(60))
     result, messages = imported(tmp_path, log, {"sprockets": WHEELS})

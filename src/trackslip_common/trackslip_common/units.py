@@ -16,7 +16,16 @@ _KMH = 1.0 / 3.6
 
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
-        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+        "time": {
+            "s": 1.0,
+            "ms": 1e-3,
+            "us": 1e-6,
+            "µs": 1e-6,
+            "ns": 1e-9,
+            "min": 60.0,
+            "h": 3600.0,
+            "d": 86400.0,
+        },
         "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048},
         "angle": {"rad": 1.0, "deg": _DEG, "°": _DEG, "mrad": 1e-3, "rev": 2.0 * math.pi},
         "angular rate": {

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError, did_you_mean
 
-_MAX_SECONDS = 2.0**31  # s
+_MAX_SECONDS = 2.0**32  # s, as from day numbers, which count from 1899, to stamps
 
 
 def check_keys(
@@ -107,7 +107,7 @@ def nanoseconds(where: str, value: Any) -> int:
     """
     seconds = number(where, value)
     if abs(seconds) > _MAX_SECONDS:
-        raise InputError(f"{where}: {seconds:g} is out of range; accepted: at most 2^31 s either way")
+        raise InputError(f"{where}: {seconds:g} is out of range; accepted: at most 2^32 s either way")
     return round(seconds * 1e9)
 
 

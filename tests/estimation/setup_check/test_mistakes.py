@@ -3,7 +3,7 @@
 """The setup check on synthetic drives: it names each injected mistake, and none on healthy drives."""
 
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
@@ -330,6 +330,23 @@ def test_without_fixes_slow_tracks_convict_neither_gyro_nor_signs(name: str, *, 
 def test_stamps_of_a_gyro_in_ms_in_the_middle_of_a_record_are_named_alone() -> None:
     log = MISTAKES["gyro time in ms"].inject(piece(drive(), 40.0, 140.0))
     assert names_of(log) == {"time_unit"}
+
+
+@pytest.mark.parametrize("source", ["gyros", "fixes"])
+def test_slow_source_beside_tracks_of_usual_rate_has_no_wrong_unit(source: str) -> None:
+    log = drive()
+    (one,) = getattr(log, source)
+    step = round((5.0 if source == "gyros" else 40.0) / float(np.median(np.diff(one.t))))
+    values = {f.name: getattr(one, f.name) for f in fields(one)}
+    slow = {
+        name: v[::step] for name, v in values.items() if isinstance(v, np.ndarray) and len(v) == len(one.t)
+    }
+    assert "time_unit" not in names_of(replace(log, **{source: (replace(one, **slow),)}))
+
+
+def test_day_numbers_declared_as_seconds_are_named_with_their_unit() -> None:
+    (cause,) = check(MISTAKES["time in days"].inject(drive())).causes
+    assert "unit: d}" in cause.remedy
 
 
 def test_a_machine_that_spins_most_of_the_time_has_no_wrong_unit() -> None:

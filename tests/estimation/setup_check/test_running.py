@@ -4,6 +4,7 @@
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,13 @@ def test_setup_mistake_is_reported_and_cleared_once_corrected(
 def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> None:
     check = RunningCheck(parameters)
     assert causes_after(check, measurements(make_drive(1), 0.0, (1.0, 1.0), 1.0), NAMED_S) == set()
+
+
+def test_stamps_without_fractions_are_reported(parameters: SlipEstimatorParameters) -> None:
+    check = RunningCheck(parameters)
+    for m in measurements(make_drive(), 0.0, (1.0, 1.0), 1.0):
+        check.add(replace(m, stamp_ns=m.stamp_ns // 10**9 * 10**9))
+    assert "time_unit" in {cause.cause for cause in check.evaluate().causes}
 
 
 def test_mistake_that_is_one_of_several_is_reported_from_the_second_check(

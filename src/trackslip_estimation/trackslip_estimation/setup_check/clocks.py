@@ -7,6 +7,7 @@ If two sources agree and a third is delayed against both, the third is the cause
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +37,7 @@ _UNITS = {  # factor that gives s: true and declared unit
     1e-6: "µs, declared s",
     1e-3: "ms, declared s",
     1e3: "s, declared ms",
+    86400.0: "d, declared s",
     1e6: "s, declared µs",
     1e9: "s, declared ns",
 }
@@ -58,18 +60,9 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
     A source in another unit than the tracks is left out: the origin of its stamps is unknown.
     """
     series = _source_stamps(log)
-    factors = {name: _time_factor(t, *_PERIODS[kind]) for name, kind, t in series}
+    factors = _time_factors(series)
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
-    distinct_factors = set(factors.values())
-    if (
-        len(distinct_factors) > 1 and 1.0 in distinct_factors
-    ):  # a wrong unit may still give a plausible period
-        other = (distinct_factors - {1.0}).pop()
-        spans = {name: float(t[-1] - t[0]) for name, _, t in series if len(t) > 1}
-        longest = max(spans[n] for n in spans if factors[n] == other)
-        similar = [n for n in spans if factors[n] == 1.0 and 0.2 < spans[n] / longest < 5.0]
-        factors |= dict.fromkeys(similar, other)
     causes = []
     is_same_unit = len(set(factors.values())) == 1
     for name, _, t in series:
@@ -84,6 +77,22 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
         remedy = f"State the unit in the mapping: time: {{column: …, unit: {_UNITS[factor].split(',')[0]}}}"
         causes.append(Cause("time_unit", "all" if is_same_unit else name, evidence, odds_of(12.0), remedy))
     return _scale_stamps(log, factors), causes
+
+
+def _time_factors(series: Sequence[tuple[str, str, FloatArray]]) -> dict[str, float]:
+    """The factor of each source; those that last equally long have one, which suits the period of each."""
+    factors = {name: _time_factor(t, *_PERIODS[kind]) for name, kind, t in series}
+    other = next((factor for factor in factors.values() if factor != 1.0), 1.0)
+    long = {name: float(t[-1] - t[0]) for name, _, t in series if len(t) > 1}
+    longest = max((long[name] for name in long if factors[name] == other), default=0.0)
+    similar = {name for name in long if factors[name] == 1.0 and 0.2 < long[name] / longest < 5.0}
+    if other == 1.0 or not similar:
+        return factors
+    suits = all(
+        _time_factor(other * t, *_PERIODS[kind]) == 1.0 for name, kind, t in series if name in similar
+    )
+    changed = similar if suits else {name for name in factors if factors[name] == other}
+    return factors | dict.fromkeys(changed, other if suits else 1.0)
 
 
 def _time_factor(t: FloatArray, low: float, high: float) -> float:

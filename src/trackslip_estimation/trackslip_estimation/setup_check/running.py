@@ -32,7 +32,7 @@ from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS
 
 LONGEST_S = 150.0  # s of measurements that are evaluated
 RECENT_S = 45.0  # s of the newest part, which withdraws a cause
-_PERIOD_NS = 20_000_000  # ns between readings of one source that are kept: the check needs no more
+_PERIOD_NS = 20_000_000  # ns between stamps of one source that are kept: the check needs no more
 _MOST_READINGS = int(LONGEST_S / 0.02)  # readings of a source
 _NO_ANGLES = (np.nan, np.nan)
 
@@ -59,7 +59,7 @@ class RunningCheck:
             rows = self._rows.get(key)
             if rows is None:
                 rows = self._rows[key] = deque(maxlen=_MOST_READINGS)
-            if not rows or not 0 <= m.stamp_ns - rows[-1][0] < _PERIOD_NS:
+            if not rows or not 0 < m.stamp_ns - rows[-1][0] < _PERIOD_NS:
                 rows.append((m.stamp_ns, values))
 
     def restart(self, p: SlipEstimatorParameters) -> None:
