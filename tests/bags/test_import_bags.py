@@ -22,6 +22,8 @@ from fixtures.robot_logs import (
     write_ros1,
     write_ros2,
 )
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_typestore
 
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
@@ -113,6 +115,44 @@ def test_imu_and_poses_come_with_their_covariances(log: Path, tmp_path: Path) ->
     np.testing.assert_allclose((position.x, position.y), TRUTH.pose[5, :2])
     assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(TRUTH.pose[5, 2])
     np.testing.assert_allclose(np.diag(truth.pose.covariance.reshape(6, 6))[[0, 1, 5]], 1e-6)
+
+
+def write_transforms(path: Path, children: tuple[str, ...]) -> Path:
+    """A bag of ROS 2 with one TFMessage, of a transform to each child."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    zero = types["geometry_msgs/msg/Vector3"](x=1.0, y=2.0, z=0.0)
+    turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    motion = types["geometry_msgs/msg/Transform"](translation=zero, rotation=turn)
+    stamp = types["builtin_interfaces/msg/Time"](sec=EPOCH_NS // 10**9, nanosec=0)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
+    one = types["geometry_msgs/msg/TransformStamped"]
+    transforms = [one(header=header, child_frame_id=child, transform=motion) for child in children]
+    with Ros2Writer(path, version=9) as bag:
+        connection = bag.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
+        message = types["tf2_msgs/msg/TFMessage"](transforms=transforms)
+        bag.write(connection, EPOCH_NS, store.serialize_cdr(message, "tf2_msgs/msg/TFMessage"))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("child_frame", "words"),
+    [({}, "several frames"), ({"child_frame": "base"}, "no message of /tf of child frame 'base' serves")],
+)
+def test_transforms_of_several_frames_are_refused_without_the_one_of_the_machine(
+    child_frame: dict[str, str], words: str, tmp_path: Path
+) -> None:
+    bag = write_transforms(tmp_path / "tf", ("base_link", "camera"))
+    topic = {"from": "/tf", "stddev": {"x": 0.1, "y": 0.1, "yaw": 0.1}, **child_frame}
+    with pytest.raises(InputError, match=rf"{words}.*; accepted: child_frame, one of base_link, camera$"):
+        imported(bag, tmp_path, {"topics": {"reference_pose": topic}})
+
+
+def test_transforms_of_one_frame_need_no_child_frame(tmp_path: Path) -> None:
+    bag = write_transforms(tmp_path / "tf", ("/base_link",))
+    topic = {"from": "/tf", "stddev": {"x": 0.1, "y": 0.1, "yaw": 0.1}}
+    _, messages = imported(bag, tmp_path, {"topics": {"reference_pose": topic}})
+    assert len(messages["/reference_pose"]) == 1
 
 
 @pytest.mark.parametrize("use", ["positions", "velocities"])

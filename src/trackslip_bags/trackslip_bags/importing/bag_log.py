@@ -8,7 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_bags.importing.bag_rows import NO_JOINTS, READERS, Row, rejections, sides_of, values_of
+from trackslip_bags.importing.bag_rows import (
+    NO_JOINTS,
+    OTHER_FRAME,
+    READERS,
+    Row,
+    rejections,
+    sides_of,
+    values_of,
+)
 from trackslip_bags.importing.joints import PARTIAL, JointsByStamp
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
@@ -19,7 +27,7 @@ from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import absolute_name, open_bag
 from trackslip_bags.sources import SUFFIXES, error_line
-from trackslip_common.errors import InputError, did_you_mean
+from trackslip_common.errors import InputError, did_you_mean, joined_names
 from trackslip_common.make import stamp_ns_of
 
 _ROS1 = (".bag", ".bag.active")
@@ -87,6 +95,7 @@ class _Collector:
         self._frames: list[str] = []
         self._left_out: Counter[str] = Counter()
         self._unused_joints: dict[str, None] = {}  # joints of unusable messages
+        self._children: set[str] = set()  # frames of transforms
         sides = sides_of(topic) if type_name == JOINTS else ()
         self._joints = JointsByStamp({name for side in sides for name in side.names})
 
@@ -114,7 +123,10 @@ class _Collector:
             if self.topic.uses_header and reading.header is not None:
                 stamp_ns = stamp_ns_of(reading) or message.log_time_ns
             stamp_ns += self.topic.time_offset_ns
+            self._children |= {reading.child} - {""}
             defect = reading.defect or ("" if 0 <= stamp_ns < LIMIT_NS else "stamp outside 0 … 2^31 s")
+            if defect == OTHER_FRAME:
+                continue
             if defect:
                 self._left_out[defect] += 1
                 self._unused_joints |= dict.fromkeys(message.content.name) if defect == NO_JOINTS else {}
@@ -131,6 +143,8 @@ class _Collector:
             self._left_out[PARTIAL] += partial
         if not self._rows:
             raise InputError(self._no_sample_text())
+        if topic.child_frame is None and len(self._children) > 1:
+            raise InputError(f"{topic.where}: {topic.source} moves several frames{self._accepted_children()}")
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
         rows = np.array(self._rows, np.float64)
         chosen = SelectedRows(np.ones(len(rows), np.bool_))
@@ -143,6 +157,14 @@ class _Collector:
         times = stamps_ns[used], log_times_ns[used]
         left_out = self._left_out + chosen.left_out
         return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
+
+    def _accepted_children(self) -> str:
+        """What is accepted as ``child_frame``; empty without transforms."""
+        return (
+            f"; accepted: child_frame, one of {joined_names(sorted(self._children))}"
+            if self._children
+            else ""
+        )
 
     def _no_sample_text(self) -> str:
         """The reason why there is no sample."""
@@ -159,4 +181,5 @@ class _Collector:
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())
         child = f" of child frame '{topic.child_frame}'" if topic.child_frame else ""
-        return f"{topic.where}: no message of {topic.source}{child} serves ({reasons or 'there is none'})"
+        fault = f"no message of {topic.source}{child} serves ({reasons or 'there is none'})"
+        return f"{topic.where}: {fault}{self._accepted_children()}"

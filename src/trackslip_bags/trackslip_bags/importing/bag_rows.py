@@ -38,6 +38,7 @@ _STAMPED_TWISTS = ("geometry_msgs/msg/TwistStamped", VELOCITY)
 _QUATERNION_STAMPED = "geometry_msgs/msg/QuaternionStamped"
 NO_JOINTS = "has none of the joints"
 NO_FIX = "receiver without a fix"
+OTHER_FRAME = "of another child frame"
 _NAN_4, _ZERO_9 = (math.nan,) * 4, (0.0,) * 9
 _DEFAULT_JOINTS = {
     key: Joints((name,), 1.0)
@@ -51,6 +52,7 @@ class Reading(NamedTuple):
     header: Any  # None where it has none
     row: Row
     defect: str = ""  # reason to leave it out; empty: none
+    child: str = ""  # frame of a transform
 
 
 Reader = Callable[[Any, BagTopic], Iterator[Reading]]
@@ -140,9 +142,10 @@ def _read_pose(message: Any, topic: BagTopic) -> Iterator[Reading]:
 def _read_transform(message: Any, topic: BagTopic) -> Iterator[Reading]:
     transforms = message.transforms if hasattr(message, "transforms") else [message]
     for one in transforms:
-        if topic.child_frame is None or one.child_frame_id.lstrip("/") == topic.child_frame.lstrip("/"):
-            motion = one.transform
-            yield _pose_reading(one.header, motion.translation, motion.rotation, np.full((3, 3), np.nan))
+        motion, child = one.transform, one.child_frame_id.lstrip("/")
+        is_other = topic.child_frame is not None and child != topic.child_frame.lstrip("/")
+        reading = _pose_reading(one.header, motion.translation, motion.rotation, np.full((3, 3), np.nan))
+        yield reading._replace(defect=OTHER_FRAME if is_other else reading.defect, child=child)
 
 
 def _pose_reading(header: Any, place: Any, turn: Any, covariance: FloatArray) -> Reading:
