@@ -72,12 +72,13 @@ class EstimateWriter:
         if part.restart is not None:
             self._prepare_next_run(part.restart)
         names = map(part.sources.__getitem__, part.arrivals["source"].tolist())
-        for record, source in zip(part.results, names, strict=True):
+        log_times_ns = part.arrivals["log_time_ns"].tolist()
+        for record, source, log_time_ns in zip(part.results, names, log_times_ns, strict=True):
             report, estimate = make_step(record.item(), source)
             self._write_parameters(report.stamp_ns)
-            self._logged_ns = report.stamp_ns or self._logged_ns  # commands have no stamp
+            self._logged_ns = report.stamp_ns or self._logged_ns  # commands have no stamp, nor has a pose before all measurements
             message = conversions.measurement_report(make, report, self._sequence)
-            self._write(REPORTS, message, self._logged_ns or 0)
+            self._write(REPORTS, message, self._logged_ns or log_time_ns)
             self._sequence += 1
             if estimate is not None:
                 topics = [ODOMETRY, TRACK_SLIP, MACHINE_STATE]

@@ -43,25 +43,24 @@ class FixGaps:
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
-        self._longest_ns = (0, 0)
+        self._longest_ns: tuple[int, int] | None = None
 
     def add(self, arrivals: Rows, results: Rows) -> None:
         """Add a part."""
         accepted = (arrivals["kind"] == POSE) & (results["outcome"] == Outcome.ACCEPTED)
-        stamps = np.sort(arrivals["stamp_ns"][accepted]).tolist()
-        for stamp_ns in stamps:
+        for stamp_ns in np.sort(results["stamp_ns"][accepted]).tolist():
             self._end_gap(stamp_ns)
-            self._last_ns = max(stamp_ns, self._last_ns or stamp_ns)
 
     def longest_gap(self, stop_ns: int, start_ns: int) -> tuple[float, float] | None:
         """Begin and end of the longest gap, s from ``start_ns``; it may end at ``stop_ns``. None: no fix."""
-        if self._last_ns is None:
+        if self._longest_ns is None:
             return None
         self._end_gap(stop_ns)
         begin, end = self._longest_ns
         return (begin - start_ns) * 1e-9, (end - start_ns) * 1e-9
 
     def _end_gap(self, stamp_ns: int) -> None:
-        begin, end = self._longest_ns
-        if self._last_ns is not None and stamp_ns - self._last_ns > end - begin:
-            self._longest_ns = self._last_ns, stamp_ns
+        last_ns = stamp_ns if self._last_ns is None else self._last_ns
+        begin, end = self._longest_ns or (last_ns, last_ns)
+        self._longest_ns = (last_ns, stamp_ns) if stamp_ns - last_ns > end - begin else (begin, end)
+        self._last_ns = max(last_ns, stamp_ns)
