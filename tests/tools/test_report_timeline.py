@@ -22,7 +22,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.cli.report_command import distinct_names
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.events import Event, LightLog
-from trackslip_tools.report.headline import Fact, facts_of, travel_of
+from trackslip_tools.report.headline import Fact, facts_of
 from trackslip_tools.report.lights import SILENT_S, Level
 from trackslip_tools.report.motion_panels import motion_panels
 from trackslip_tools.report.plots import plot_text
@@ -46,7 +46,7 @@ def facts(run: Run) -> dict[str, Fact]:
 def test_the_headline_agrees_with_the_truth_of_the_drive(emulated_run: Run) -> None:
     truth = emulated_run.replay.paths["reference"].poses[:, :2]
     driven = np.linalg.norm(np.diff(truth, axis=0), axis=1).sum()
-    travel = travel_of(emulated_run)
+    travel = emulated_run.replay.travel
     assert travel.distance == pytest.approx(driven, rel=0.02)
     assert emulated_run.states is not None
     known_s = np.ptp(emulated_run.states.path.stamps_ns) * 1e-9

@@ -182,8 +182,6 @@ def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
 
     every = "Every measurement was used."
     assert words(changed(run, rejected=Tally())) == every
-    jumped = refusing(("sprockets", Outcome.JUMPED), ("sprockets", Outcome.RESTARTED))
-    assert words(changed(run, rejected=jumped)) == every  # used in a modified form
     early = refusing(("sprockets", Outcome.WAITING))
     assert words(changed(run, rejected=early)) == "Since the start every measurement was used."
     soil = SoilReplay(load_soil_parameters(), rejected=refusing(("hydraulics", Outcome.INVALID)))

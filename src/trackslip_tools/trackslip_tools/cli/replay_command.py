@@ -95,8 +95,8 @@ def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) ->
 def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
     """Result of one bag of many; runs in a worker."""
 
-    def replay_watched(watch: Watch) -> tuple[Replay, str]:
+    def replay_bag() -> tuple[Replay, str]:
         with open_bag(path, args.namespace) as bag:
-            return _replay_bag(bag, args, [watch]), ""
+            return _replay_bag(bag, args, []), ""
 
-    return entry_of(path, replay_watched, force=args.force)
+    return entry_of(path, replay_bag, force=args.force)

@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _replay_run(
-    args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
+    args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, *further: Watch
 ) -> Run:
     """Run over a bag with a parameter file; ``recording``: contents of the bag, if already read."""
     options, files = replay_options.options_of(args), [] if name == _OWN_PARAMETERS else [name]
@@ -109,7 +109,7 @@ def _replay_run(
     soil_p = replay_options.soil_parameters_of(bag, p, files, args.set)
     recording = recording or read_recording(bag, filters, args.namespace)
     details = Details()
-    result = replay(bag, p, filters, reference, soil_p, combine_watches(details.add, further))
+    result = replay(bag, p, filters, reference, soil_p, combine_watches(details.add, *further))
     smoothed = _smoothed_estimates(bag, p, filters) if args.smooth else None
     return Run(label, recording, p, filters, result, details, smoothed)
 
@@ -131,13 +131,13 @@ def _write_folder(args: argparse.Namespace, files: Sequence[str]) -> int:
 def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
     """Result of one bag of many; runs in a worker."""
 
-    def replay_watched(watch: Watch) -> tuple[Replay, str]:
+    def replay_bag() -> tuple[Replay, str]:
         (name,) = args.params or [_OWN_PARAMETERS]
         with open_bag(path, args.namespace) as bag:
-            one = _replay_run(args, bag, name, None, path.name, watch)
+            one = _replay_run(args, bag, name, None, path.name)
         return one.replay, _render_page([one], load_limits(args.limits or ()))
 
-    return entry_of(path, replay_watched, force=args.force)
+    return entry_of(path, replay_bag, force=args.force)
 
 
 def _smoothed_estimates(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:

@@ -7,13 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from trackslip_common.errors import ExitCode, InputError, collect_output
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE
-from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.output import summary
-from trackslip_tools.replay.parts import Part, Watch
 from trackslip_tools.replay.result import Replay
 
 _TIMING = "real_time_factor"  # depends on the load of the machine
@@ -44,34 +40,14 @@ class Entry:
         return {**head, "distance": self.distance, **self.summary}
 
 
-class Distance:
-    """Distance travelled by the track-contact centre, over the parts of a replay."""
-
-    def __init__(self) -> None:
-        self.metres = 0.0
-        self._stamp_ns: int | None = None
-
-    def add(self, part: Part) -> None:
-        """Add a part; standstill and steps back in time add nothing."""
-        estimates = part.estimates
-        if not len(estimates):
-            return
-        before = estimates["stamp_ns"][0] if self._stamp_ns is None else self._stamp_ns
-        seconds = np.maximum(np.diff(estimates["stamp_ns"], prepend=before), 0) * 1e-9
-        speeds = np.hypot(estimates["twist"][:, 0], estimates["twist"][:, 1])
-        self.metres += float(np.sum((speeds * seconds)[estimates["motion"] != Motion.STANDING]))
-        self._stamp_ns = int(estimates["stamp_ns"][-1])
-
-
-def entry_of(path: Path, replay_watched: Callable[[Watch], tuple[Replay, str]], *, force: bool) -> Entry:
-    """Result of a bag, with any error in it; ``replay_watched`` returns the replay and the page.
+def entry_of(path: Path, replay_bag: Callable[[], tuple[Replay, str]], *, force: bool) -> Entry:
+    """Result of a bag, with any error in it; ``replay_bag`` returns the replay and the page.
 
     ``force``: accept a wrong setup.
     """
-    distance = Distance()
     with collect_output() as lines:
         try:
-            result, page = replay_watched(distance.add)
+            result, page = replay_bag()
         except (InputError, OSError) as error:
             text = str(error) if isinstance(error, InputError) else f"bag '{path}': {error.strerror}"
             return Entry(str(path), ExitCode.BAD_INPUT, text, tuple(lines))
@@ -79,9 +55,8 @@ def entry_of(path: Path, replay_watched: Callable[[Watch], tuple[Replay, str]], 
     del content[_TIMING]
     code = ExitCode.FAILED if result.has_failed(force=force) else ExitCode.DONE
     setup_error = "" if result.setup.is_plausible else f"setup: {result.setup.headline}"
-    return Entry(
-        str(path), code, result.no_estimate or setup_error, tuple(lines), distance.metres, content, page
-    )
+    error = result.no_estimate or setup_error
+    return Entry(str(path), code, error, tuple(lines), result.travel.distance, content, page)
 
 
 def exit_code(entries: Iterable[Entry]) -> int:

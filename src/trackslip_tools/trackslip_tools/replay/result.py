@@ -3,7 +3,7 @@
 """Collects the results of a replay part by part; keeps of the estimates what the scores need."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,8 +45,14 @@ from trackslip_tools.replay.scoring import Score, path_of, path_of_series
 from trackslip_tools.replay.series import Series, SeriesCollector, reduce_columns, sort_by_stamp
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.stuck_tracks import FixGaps
+from trackslip_tools.replay.travel import Travel
 from trackslip_tools.replay.withheld import WithheldErrors, WithholdResult
 
+# Field of a result → reasons of a rejection.
+_REJECTIONS: dict[str, Sequence[Outcome | AttitudeRejection]] = {
+    "outcome": [outcome for outcome in Outcome if outcome.is_rejected],
+    "attitude": [*AttitudeRejection],
+}
 KEPT_ESTIMATE = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
 
 
@@ -78,6 +84,7 @@ class Replay:
     accepted_events: list[AcceptedEvent] = field(default_factory=list)  # events that explain contradictions
     withheld: list[WithholdResult] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
+    travel: Travel = field(default_factory=Travel)
     start: str = ""  # line on what was learned before the bag; empty: nothing
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
     setup: Setup = field(default_factory=Setup)  # result of the setup check
@@ -86,6 +93,11 @@ class Replay:
     def findings(self) -> list[LearnedQuantity]:
         """Learned quantities at the end; empty without an estimate."""
         return self.learned[-1].findings if self.learned else []
+
+    @property
+    def rejected_by_source(self) -> dict[str, dict[str, int]]:
+        """Source → reason → number of rejected measurements, of both estimators."""
+        return self.rejected.by_source() | (self.soil.rejected.by_source() if self.soil is not None else {})
 
     def has_failed(self, *, force: bool) -> bool:
         """Whether there is no estimate, or one from a wrong setup that ``force`` does not accept."""
@@ -119,7 +131,7 @@ class Collector:
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
         self.processed = ProcessingCounts(Counter(), self._rejected)
         self._learned: list[LearnedValues] = []
-        self._gaps, self._newest_ns = FixGaps(), 0
+        self._gaps, self._travel, self._newest_ns = FixGaps(), Travel(), 0
         self._earlier_events: list[AcceptedEvent] = []  # of ended runs
         self._accepted_events: list[AcceptedEvent] = []
 
@@ -129,6 +141,7 @@ class Collector:
         self._keep_estimates(estimates)
         self._learned += part.learned
         self._gaps.add(part.arrivals, part.results)
+        self._travel.add(estimates)
         if len(estimates):
             self._newest_ns = max(self._newest_ns, int(estimates["stamp_ns"].max()))
         if part.restart is not None:
@@ -136,10 +149,7 @@ class Collector:
         self._accepted_events = list(part.accepted_events)
         for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
             self.processed.input_counts[part.sources[source]] += count
-        for name, outcome, n in _count_rejections(part, "outcome"):
-            self._rejected.add(name, Outcome(outcome), n)
-        for name, rejection, n in _count_rejections(part, "attitude"):
-            self._rejected.add(name, AttitudeRejection(rejection), n)
+        _add_rejections(self._rejected, part)
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
         for topic, rows in tables.items():
             self._series.add(topic, rows)
@@ -164,6 +174,7 @@ class Collector:
         )
         result.start_ns = stream.start_ns
         result.longest_gap = self._gaps.longest_gap(self._newest_ns, stream.start_ns)
+        result.travel = self._travel
         result.reference, result.series = self._reference, self._series.series()
         result.slip_rmse = self._slips.rmse
         result.swing_rmse = self._swing.rmse
@@ -215,12 +226,13 @@ class Collector:
             self._comparer.add(TRACK_SLIP, live[TRACK_SLIP], slip_rows(estimates), numbers, parts)
 
 
-def _count_rejections(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
-    """Source, reason and count of the results whose ``field_`` is not 0."""
-    rejected = part.results[field_] != 0
-    pairs = np.column_stack((part.arrivals["source"][rejected], part.results[field_][rejected]))
-    for (source, reason), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
-        yield part.sources[source], int(reason), int(count)
+def _add_rejections(tally: Tally, part: Part) -> None:
+    """Count the measurements of a part that were rejected, whole or their orientation or altitude."""
+    for field_, reasons in _REJECTIONS.items():
+        for reason in reasons:
+            sources = part.arrivals["source"][part.results[field_] == reason]
+            for name, count in zip(part.sources, np.bincount(sources).tolist(), strict=False):
+                tally.add(name, reason, count)
 
 
 def scored_topics(reference: str | None) -> frozenset[str]:

@@ -18,16 +18,8 @@ from trackslip_tools.report.run import Run
 from trackslip_tools.report.timeline import stuck_track_intervals, stuck_tracks_text
 from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 
-_GAP_S = 1.0  # longer intervals between estimates count for neither distance nor time
 _NO_VALUE = "–"
 _LEAST_TIME_S = 0.5  # shortest duration of a slip, s
-
-
-class Travel(NamedTuple):
-    """Distance and durations of a run."""
-
-    distance: float  # m, along the path of the track-contact centre
-    seconds: dict[Motion, float]
 
 
 class Fact(NamedTuple):
@@ -39,23 +31,11 @@ class Fact(NamedTuple):
     state: State = State.UNKNOWN  # rating, if the number can be rated
 
 
-def travel_of(run: Run) -> Travel:
-    """Distance and durations from the estimated speeds; an interval has the state of its first estimate."""
-    if run.states is None:
-        return Travel(0.0, dict.fromkeys(Motion, 0.0))
-    states = run.states
-    dt = np.diff(states.path.stamps_ns) * 1e-9
-    dt[dt > _GAP_S] = 0.0
-    speeds = np.hypot(*states.rows["twist"][:-1, :2].T)
-    seconds = {motion: float(dt[states.rows["motion"][:-1] == motion].sum()) for motion in Motion}
-    return Travel(float((speeds * dt)[states.is_moving[:-1]].sum()), seconds)
-
-
 def facts_of(
     run: Run, limits: VerdictLimits, checks: Mapping[str, Verdict], events: Sequence[Event]
 ) -> list[Fact]:
     """All key numbers, in display order."""
-    travel = travel_of(run)
+    travel = run.replay.travel
     straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
     distance, driving, standing, durations = _NO_VALUE, _NO_VALUE, _NO_VALUE, ""
     if run.states is not None:

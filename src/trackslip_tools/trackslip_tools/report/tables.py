@@ -36,13 +36,10 @@ def topic_rows(run: Run) -> list[Row]:
 
 def rejection_rows(run: Run) -> list[Row]:
     """Source, reason, count, share of the source's messages, of the rejected measurements."""
-    soil = run.replay.soil
-    parts = [run.replay.rejected, *([soil.rejected] if soil is not None else [])]
     messages = run.replay.messages
     return [
         (source, reason, str(count), _number(100.0 * count / max(messages.get(source, count), 1), ".2f"))
-        for rejected in parts
-        for source, reasons in rejected.by_source().items()
+        for source, reasons in run.replay.rejected_by_source.items()
         for reason, count in reasons.items()
     ]
 

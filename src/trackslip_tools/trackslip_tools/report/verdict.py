@@ -20,7 +20,6 @@ from trackslip_tools.report.timeline import silence_limits, stuck_track_interval
 SECTION = "report"
 DEFAULT_FILES = ("report.yaml",)
 _WAITING = Outcome.WAITING.name.lower()
-_USED_OUTCOMES = tuple(outcome.name.lower() for outcome in Outcome if not outcome.is_rejected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,7 +266,7 @@ def _check_gaps(run: Run, _: VerdictLimits) -> Verdict:
 
 def _check_rejections(run: Run, limits: VerdictLimits) -> Verdict:
     """Check the share of rejected measurements; those before the start do not count, if there is a start."""
-    rejected = _rejection_counts(run)
+    rejected = run.replay.rejected_by_source
     early = sum(reasons.get(_WAITING, 0) for reasons in rejected.values())
     if run.states is None:
         total = sum(sum(reasons.values()) for reasons in rejected.values())
@@ -284,17 +283,6 @@ def _check_rejections(run: Run, limits: VerdictLimits) -> Verdict:
     return _make_verdict(
         is_good, value, f"Share not used; {PERCENT * limits.refused:g} % of a source is normal."
     )
-
-
-def _rejection_counts(run: Run) -> dict[str, dict[str, int]]:
-    """Source → reason → count of rejections in both estimators, without outcomes of used measurements."""
-    rejected = run.replay.rejected.by_source()
-    if run.replay.soil is not None:
-        rejected = {**rejected, **run.replay.soil.rejected.by_source()}
-    return {
-        source: {reason: n for reason, n in reasons.items() if reason not in _USED_OUTCOMES}
-        for source, reasons in rejected.items()
-    }
 
 
 def _all_used_texts(run: Run, early: int) -> tuple[str, str]:
