@@ -202,7 +202,7 @@ SUMMARY = {
     "nees": None,
     "nees_position": 2.5,
     "rejected": {"box_pose": {"gated": 3}, "sprockets": {"waiting": 9}},
-    "soil": {"classes": {"sand": 0.3, "sandy_loam": 0.7}},
+    "soil": {"classes": {"sand": 0.3, "sandy_loam": 0.7}, "identifiable": True},
 }
 
 

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from trackslip_estimation.soil.classes import NONE
 from trackslip_tools.report.events import MAX_EVENTS, Events
 from trackslip_tools.report.lights import Level, Light
 
@@ -103,9 +104,10 @@ def test_learned_state_is_reported_once_when_observed() -> None:
 def test_a_soil_is_named_when_it_is_likely_and_when_another_is() -> None:
     events = Events()
     for sand in (0.4, 0.7, 0.8, 0.5, 0.1):
-        events.add_soil_change({"sand": sand, "clay": 0.9 - sand}, 0.0, 0.0)
+        events.add_soil_change({"sand": sand, "clay": 0.9 - sand}, 0.0, 0.0, is_identifiable=True)
     assert reported(events) == ["soil found: sand, 70 %", "soil changed to clay, 80 %"]
-    events.add_soil_change({}, 0.0, 0.0)
+    for classes in ({}, {NONE: 0.9, "sand": 0.1}):
+        events.add_soil_change(classes, 0.0, 0.0, is_identifiable=True)
     assert len(events.recent) == 2
 
 

@@ -124,6 +124,13 @@ def test_soil_and_fixes_are_shown(state: LiveState) -> None:
     assert "new_fixes" not in state.next_frame(0.1, 0.1)
 
 
+def test_soil_that_is_not_identifiable_is_not_named_as_found(state: LiveState) -> None:
+    state.process("soil", messages.soil(False, sand=0.9, clay=0.1), 0.0)
+    frame = as_json(state.next_frame(0.0, 0.0))
+    assert frame["classes"] == [["sand", 0.9, False], ["clay", 0.1, False]]
+    assert frame["events"] == []
+
+
 def parameters(**timeouts: float) -> Any:
     """Parameters message of the slip estimator with the timeouts of these pose sources."""
     groups = {name: {"timeout": timeout} for name, timeout in timeouts.items()}

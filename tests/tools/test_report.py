@@ -19,6 +19,7 @@ from trackslip_common.errors import ExitCode
 from trackslip_common.topics import FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
+from trackslip_tools.report.headline import facts_of
 from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
@@ -26,6 +27,7 @@ from trackslip_tools.report.path_plot import boxes, ellipses, path_plot
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing_rows, parameter_rows, topic_rows
+from trackslip_tools.report.timeline import events_of
 from trackslip_tools.report.verdict import load_limits
 
 MS = 1_000_000
@@ -157,6 +159,18 @@ def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run, tmp_p
     np.testing.assert_allclose((shear.band[0][0], shear.values[0], shear.band[1][0]), (1.0, 2.0, 5.0))  # cm
     likely = titled(panels, "Class of soil").curves
     assert [(curve.label, curve.values[-1]) for curve in likely] == [("dry_clay", 70.0), ("sand", 30.0)]  # %
+
+
+@pytest.mark.parametrize("is_identifiable", [True, False])
+def test_only_an_identifiable_soil_is_named_as_found(run: Run, tmp_path: Path, is_identifiable: bool) -> None:
+    stamped = make(TOPICS[SOIL].type_name, header=header(0, ""), identifiable=is_identifiable, **SOIL_FIELDS)
+    with open_bag(write_bag(tmp_path / "bag", [(SOIL, stamped)])) as bag:
+        numbers = read_recording(bag, InputFilters()).numbers
+    of_soil = dataclasses.replace(run, recording=dataclasses.replace(run.recording, numbers=numbers))
+    (fact,) = (fact for fact in facts_of(of_soil, load_limits(), {}, []) if fact.name == "Soil")
+    assert fact.value == ("dry clay, 70 %" if is_identifiable else "undetermined")
+    reported = [event.text for event in events_of(of_soil) if "soil" in event.text]
+    assert reported == (["soil found: dry_clay, 70 %"] if is_identifiable else [])
 
 
 # Tables and page

@@ -94,8 +94,8 @@ def test_sample_with_a_jump_of_the_positions_is_not_counted_as_rejected(
         if line.topic != "sprockets" or line.log_ns < lines[0].log_ns + 6 * S:
             return line
         m = line.message
-        fields = {"header": m.header, "name": m.name, "velocity": m.velocity}
-        return line.instead("sprockets", make(m.__msgtype__, position=[p + 90.0 for p in m.position], **fields))
+        fields = {"header": m.header, "name": m.name, "position": m.position + 90.0, "velocity": m.velocity}
+        return line.instead("sprockets", make(m.__msgtype__, **fields))
 
     counts = summary(bag_of(map(jumped, lines)))["rejected"].get("sprockets", {})
     assert counts.keys() <= {"waiting"}

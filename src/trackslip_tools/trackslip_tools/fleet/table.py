@@ -10,7 +10,7 @@ from typing import Any
 from trackslip_common.errors import ExitCode
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import short_names
-from trackslip_tools.replay.soil_output import is_certain
+from trackslip_tools.report.quantities import found_soil
 from trackslip_tools.terminal_text import table, wrap_line
 
 NO_VALUE = "–"
@@ -49,7 +49,7 @@ def _soil(summary: Mapping[str, Any]) -> str:
         return NO_VALUE
     name = max(classes, key=classes.__getitem__)
     text = f"{name.replace('_', ' ')} {100.0 * classes[name]:.0f} %"
-    return text if is_certain(classes[name], bool(soil.get("identifiable"))) else f"undetermined ({text})"
+    return text if found_soil(classes, is_identifiable=soil["identifiable"]) else f"undetermined ({text})"
 
 
 _EXIT_TEXTS = {ExitCode.DONE: "0 done", ExitCode.FAILED: "1 failed", ExitCode.BAD_INPUT: "2 bad input"}

@@ -25,9 +25,10 @@ from trackslip_tools.live.fixes import Fixes, timeouts_of_text
 from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.live.strips import Strips, row_of
-from trackslip_tools.report.events import CERTAIN, Event, Events
+from trackslip_tools.report.events import Event, Events
 from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible_range
+from trackslip_tools.report.quantities import found_soil
 
 MOST_POINTS = 3000  # of the path
 _MIN_SPACING = 0.02  # least distance between points, m
@@ -189,13 +190,16 @@ class LiveState:
             self._fixes.add_silence_events(self._events, now_s, time_ms)
         for values in self._lights.pop_new_values():
             self._events.add_value_changes(values, now_s, time_ms)
-        if self._now.get(SOIL, now_s) is not None:
-            self._events.add_soil_change(self._now.classes, now_s, time_ms)
+        if (soil := self._now.get(SOIL, now_s)) is not None:
+            classes, is_identifiable = self._now.classes, bool(soil.identifiable)
+            self._events.add_soil_change(classes, now_s, time_ms, is_identifiable=is_identifiable)
 
     def _current_values(self, lights: list[Light], now_s: float, time_ms: float) -> dict[str, Any]:
         """The part of a frame that is sent in full."""
         outlines = outlines_of(self._now, now_s, self._vehicle)
-        classes = self._now.classes if self._now.get(SOIL, now_s) is not None else {}
+        soil = self._now.get(SOIL, now_s)
+        classes = self._now.classes if soil is not None else {}
+        found = found_soil(classes, is_identifiable=soil is not None and bool(soil.identifiable))
         likely = sorted(classes.items(), key=lambda item: -item[1])[:_MAX_CLASSES]
         return {
             "number": self._number,
@@ -208,7 +212,7 @@ class LiveState:
             ],
             "setup": self._setup or _setup_warning(lights),
             "left_out": self._lights.left_out,
-            "classes": [[printable(name), *replace_nonfinite((p,)), p >= CERTAIN] for name, p in likely],
+            "classes": [[printable(name), *replace_nonfinite((p,)), name == found] for name, p in likely],
         }
 
     def _new_positions(self, now_s: float) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class EstimateWriter:
         for record, source, log_time_ns in zip(part.results, names, log_times_ns, strict=True):
             report, estimate = make_step(record.item(), source)
             self._write_parameters(report.stamp_ns)
-            self._logged_ns = report.stamp_ns or self._logged_ns  # commands have no stamp, nor has a pose before all measurements
+            self._logged_ns = report.stamp_ns or self._logged_ns  # first inputs may have none
             message = conversions.measurement_report(make, report, self._sequence)
             self._write(REPORTS, message, self._logged_ns or log_time_ns)
             self._sequence += 1

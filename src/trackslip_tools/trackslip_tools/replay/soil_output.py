@@ -12,7 +12,7 @@ from trackslip_common.tally import Tally
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS
 from trackslip_tools.replay.soil import SoilReplay
-from trackslip_tools.report.events import CERTAIN
+from trackslip_tools.report.quantities import found_soil
 
 
 def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
@@ -49,11 +49,6 @@ def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
     return content
 
 
-def is_certain(probability: float, is_identifiable: bool) -> bool:
-    """Whether the likeliest class is probable enough to name the soil."""
-    return is_identifiable and probability >= CERTAIN
-
-
 def rejection_lines(rejected: Tally) -> list[str]:
     """A line for each source and reason of rejected messages."""
     return [
@@ -80,7 +75,7 @@ def soil_lines(result: SoilReplay) -> list[str]:
         lines.append(f"  not identifiable: {strength.reason}")
     likely = sorted(last.classes.items(), key=lambda item: -item[1])[:3]
     if likely:
-        if not is_certain(likely[0][1], strength.identifiable):
+        if not found_soil(last.classes, is_identifiable=strength.identifiable):
             lines.append("  the class is undetermined; likeliest:")
         lines.append("  " + "  ".join(f"{name} {100 * p:.0f} %" for name, p in likely))
     return lines if result.live is None else [*lines, str(result.live)]

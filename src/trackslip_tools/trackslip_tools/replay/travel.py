@@ -13,7 +13,7 @@ _MAX_STEP_S = 1.0  # longer intervals between estimates count for neither distan
 class Travel:
     """Distance of the track-contact centre from estimated speeds, and durations.
 
-    An interval has the speed and the state of the estimate at its end. Gaps and steps back in time add nothing.
+    An interval has speed and state of the estimate at its end. Gaps and steps back in time add nothing.
     """
 
     def __init__(self) -> None:

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 from trackslip_common.errors import printable
 from trackslip_tools.report.lights import SILENT_S, Level, Light, Lights, statuses_of
+from trackslip_tools.report.quantities import found_soil
 from trackslip_tools.report.state_intervals import StateInterval
 
 MAX_EVENTS = 200  # kept events
 _MOST_VALUES = 500  # values read per status, and entries of each memory
 _REPEAT_S = 10.0  # s in which the same text is not repeated
 _CLEAR_S = 5.0  # s without a rejection, after which the next one is an event
-CERTAIN = 0.6  # probability from which a soil counts as identified
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _LESS_PROBABLE = re.compile(r"\b\w+ explanations for [\d.]+ s: ([^(]*) \(.*")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
@@ -83,13 +83,15 @@ class Events:
                 self._unknown.discard(key)
                 self.add(Level.OK, f"learned: {text}", now_s, time_ms)
 
-    def add_soil_change(self, classes: Mapping[str, float], now_s: float, time_ms: float) -> None:
-        """Add an event when another soil becomes the likeliest, with probability ``CERTAIN`` or more."""
-        name, chance = max(classes.items(), key=lambda item: item[1], default=("", 0.0))
-        if chance >= CERTAIN and name != self._soil:
+    def add_soil_change(
+        self, classes: Mapping[str, float], now_s: float, time_ms: float, *, is_identifiable: bool
+    ) -> None:
+        """Add an event when another soil is found."""
+        name = found_soil(classes, is_identifiable=is_identifiable)
+        if name not in ("", self._soil):
             what = "soil changed to" if self._soil else "soil found:"
             self._soil = name
-            self.add(Level.OK, f"{what} {name}, {100 * chance:.0f} %", now_s, time_ms)
+            self.add(Level.OK, f"{what} {name}, {100 * classes[name]:.0f} %", now_s, time_ms)
 
     def _add_gate_rejection(self, source: str, text: str, now_s: float, time_ms: float) -> None:
         with suppress(ValueError):

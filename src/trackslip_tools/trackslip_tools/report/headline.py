@@ -11,9 +11,9 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.stuck_tracks import SIDES
-from trackslip_tools.report.events import CERTAIN, Event
+from trackslip_tools.report.events import Event
 from trackslip_tools.report.lights import Level
-from trackslip_tools.report.quantities import PERCENT
+from trackslip_tools.report.quantities import PERCENT, found_soil
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.timeline import stuck_track_intervals, stuck_tracks_text
 from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
@@ -115,9 +115,9 @@ def _soil_fact(run: Run) -> Fact:
         return Fact("Soil", "not classified", note)
     likely = max(chances, key=lambda name: chances[name])
     soil = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
-    if chances[likely] < CERTAIN:
-        return Fact("Soil", "undetermined", f"likeliest: {soil}; {note}")
-    return Fact("Soil", soil, note)
+    if found_soil(chances, is_identifiable=bool(last["identifiable"])):
+        return Fact("Soil", soil, note)
+    return Fact("Soil", "undetermined", f"likeliest: {soil}; {note}")
 
 
 def _events_fact(events: Sequence[Event]) -> Fact:

@@ -13,11 +13,13 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.topics import FORCES, SOIL, TRUE_ODOMETRY, TRUE_SLIP, TRUE_SOIL
+from trackslip_estimation.soil.classes import NONE
 from trackslip_tools.report.panel import BLUE, ORANGE, Form, sigma_band
 
 Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one or many moments
 Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
 
+_FOUND = 0.6  # probability from which a class of soil counts as found
 DEGREES = 180.0 / np.pi
 PERCENT = 100.0
 
@@ -55,6 +57,12 @@ def classes_of(message: Any) -> dict[str, float]:
     """Soil → probability, of a SoilEstimate; empty if names and probabilities differ in number."""
     names, chances = list(message.class_names), [float(p) for p in message.class_probabilities]
     return dict(zip(names, chances, strict=True)) if len(names) == len(chances) else {}
+
+
+def found_soil(classes: Mapping[str, float], *, is_identifiable: bool) -> str:
+    """The likeliest class, if soil is identifiable and the class known and probable enough; else empty."""
+    name = max(classes, key=classes.__getitem__, default=NONE)
+    return name if is_identifiable and name != NONE and classes[name] >= _FOUND else ""
 
 
 class FieldCurve(NamedTuple):

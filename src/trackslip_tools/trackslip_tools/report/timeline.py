@@ -278,11 +278,12 @@ def _explanation_events(run: Run) -> Iterator[Event]:
 
 
 def _soil_events(run: Run) -> list[Event]:
-    """Identified soils."""
+    """Found soils."""
     numbers = run.numbers.get(SOIL)
     if numbers is None:
         return []
     events = Events()
     for k, at_s in enumerate(numbers.times.tolist()):
-        events.add_soil_change(numbers.classes_at(k), at_s, 1e3 * at_s)
+        is_identifiable = bool(numbers.rows["identifiable"][k])
+        events.add_soil_change(numbers.classes_at(k), at_s, 1e3 * at_s, is_identifiable=is_identifiable)
     return list(events.recent)
