@@ -182,10 +182,11 @@ def test_competing_explanations_and_accepted_events_are_reported(emulated_run: R
 # Lights
 
 
-def test_state_intervals_are_contiguous_up_to_the_end() -> None:
-    intervals = state_intervals(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
-    assert intervals == [StateInterval(0.0, 2.0, 1), StateInterval(2.0, 5.0, 2), StateInterval(5.0, 5.0, 1)]
-    assert total_duration(intervals, 1) == 2.0
+def test_state_intervals_are_contiguous_up_to_a_gap_or_the_end() -> None:
+    intervals = state_intervals(np.array((0.0, 1.0, 2.0, 3.0, 8.0, 9.0)), np.array((1, 1, 2, 1, 1, 1)))
+    ends = [(interval.start, interval.stop, interval.state) for interval in intervals]
+    assert ends == [(0.0, 2.0, 1), (2.0, 3.0, 2), (3.0, 3.0, 1), (8.0, 9.0, 1)]
+    assert total_duration(intervals, 1) == 3.0
     assert state_intervals(np.empty(0), np.empty(0)) == []
 
 

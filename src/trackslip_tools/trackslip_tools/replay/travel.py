@@ -6,8 +6,7 @@ import numpy as np
 
 from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.motion import Motion
-
-_MAX_STEP_S = 1.0  # longer intervals between estimates count for neither distance nor time
+from trackslip_tools.report.state_intervals import LONGEST_STEP_S
 
 
 class Travel:
@@ -28,7 +27,7 @@ class Travel:
         stamps_ns, motion = estimates["stamp_ns"], estimates["motion"]
         before_ns = stamps_ns[0] if self._last_ns is None else self._last_ns
         dt = np.diff(stamps_ns, prepend=before_ns) * 1e-9
-        dt[(dt < 0.0) | (dt > _MAX_STEP_S)] = 0.0
+        dt[(dt < 0.0) | (dt > LONGEST_STEP_S)] = 0.0
         speeds = np.hypot(*estimates["twist"][:, :2].T)
         self.distance += float((speeds * dt)[motion != Motion.STANDING].sum())
         for state in Motion:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
 
+LONGEST_STEP_S = 1.0  # between two estimates; beyond it nothing is known
+
 
 class StateInterval(NamedTuple):
     """An interval of constant state."""
@@ -53,15 +55,16 @@ def bars(intervals: Iterable[StateInterval], styles: Mapping[int, Style]) -> lis
 
 
 def state_intervals(times: FloatArray, states: NDArray[Any]) -> list[StateInterval]:
-    """Intervals of (n,) states at rising times; each lasts to the start of the next, the last to the end."""
+    """Intervals of (n,) states at rising times; each lasts to the next, a gap or the end."""
     if not len(times):
         return []
-    begins = np.concatenate(((0,), np.flatnonzero(np.diff(states)) + 1))
-    starts = times[begins]
-    stops = np.append(starts[1:], times[-1])
+    is_gap = np.diff(times) > LONGEST_STEP_S
+    ends = np.flatnonzero((np.diff(states) != 0) | is_gap)
+    begins = np.concatenate(((0,), ends + 1))
+    stops = np.append(times[np.where(is_gap[ends], ends, ends + 1)], times[-1])
     return [
         StateInterval(float(a), float(b), int(s))
-        for a, b, s in zip(starts, stops, states[begins], strict=True)
+        for a, b, s in zip(times[begins], stops, states[begins], strict=True)
     ]
 
 
