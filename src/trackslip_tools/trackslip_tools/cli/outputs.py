@@ -3,13 +3,13 @@
 """Output files: checked for writability before the work, and written after it."""
 
 import json
-import math
 import os
 from pathlib import Path
 from typing import Any
 
 from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
+from trackslip_tools.live.encoding import replace_nonfinite
 
 # First characters of the files.
 PAGE_PREFIX = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
@@ -94,12 +94,4 @@ def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> No
     Raises:
         InputError: the file cannot be written.
     """
-    write_file("json", path, json.dumps(_replace_nan(content), indent=2, allow_nan=False) + "\n")
-
-
-def _replace_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _replace_nan(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_replace_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    write_file("json", path, json.dumps(replace_nonfinite(content), indent=2, allow_nan=False) + "\n")

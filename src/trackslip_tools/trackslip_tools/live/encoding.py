@@ -12,13 +12,15 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 
 
-def replace_nonfinite(values: Any) -> Any:
-    """Nested lists of the same shape; null for values that are not finite."""
-    if isinstance(values, np.ndarray):
-        values = values.tolist()
-    if isinstance(values, (list, tuple)):
-        return [replace_nonfinite(value) for value in values]
-    return values if math.isfinite(values) else None
+def replace_nonfinite(value: Any) -> Any:
+    """The value in types of JSON, arrays as lists; null for each number in it that is not finite."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: replace_nonfinite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [replace_nonfinite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def outline_coordinates(points: FloatArray) -> tuple[list[float], list[float]]:
