@@ -17,7 +17,7 @@ from dataclasses import replace
 from io import BufferedWriter, FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
@@ -28,6 +28,7 @@ from trackslip_common.atomic_files import replace_atomically
 from trackslip_common.errors import InputError
 
 CHUNK_SPAN_NS = 500_000_000
+W = TypeVar("W", bound="BagWriter")
 
 _NO_QOS = "[]"  # empty list in metadata.yaml: ros2 bag plays with default QoS
 
@@ -198,7 +199,7 @@ class BagWriter:
         """Close the file as it is, like a killed recorder, after a disk error."""
         self._file.abandon()
 
-    def __enter__(self) -> "BagWriter":
+    def __enter__(self: W) -> W:
         return self
 
     def __exit__(

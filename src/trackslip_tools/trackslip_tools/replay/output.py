@@ -45,7 +45,7 @@ _MOST_EVENTS = 12  # listed in the text
 _PATH_NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
 
-class EstimateWriter:
+class EstimateWriter(BagWriter):
     """Writes a bag of the estimates, measurement reports and parameters, each logged at its stamp.
 
     ``learned``: learned quantities from which the estimator started, if there are any.
@@ -55,17 +55,11 @@ class EstimateWriter:
     """
 
     def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
-        self._bag, self._p = BagWriter(path), p
+        super().__init__(path)
+        self._p = p
         self._start, self._begun = _learned_section(p, learned), False
         self._sequence, self._local = 0, LocalOdometry()
         self._logged_ns: int | None = None
-
-    def __enter__(self) -> "EstimateWriter":
-        self._bag.__enter__()
-        return self
-
-    def __exit__(self, *raised: Any) -> None:
-        self._bag.__exit__(*raised)
 
     def add(self, part: Part) -> None:
         """Write the results of a part."""
@@ -111,7 +105,7 @@ class EstimateWriter:
         self._sequence, self._local, self._begun = 0, LocalOdometry(), False
 
     def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        self._bag.write(absolute_name(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
+        self.write(absolute_name(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
 
 
 def _learned_section(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:

@@ -162,7 +162,7 @@ class _EstimateErrors:
         return Errors(position, heading, self._slips.rmse, self._path.nees)
 
 
-class SmoothedWriter:
+class SmoothedWriter(BagWriter):
     """Writes a bag of the smoothed estimates and the parameters, each logged at its stamp.
 
     Raises:
@@ -170,14 +170,8 @@ class SmoothedWriter:
     """
 
     def __init__(self, path: Path, p: SlipEstimatorParameters) -> None:
-        self._bag, self._p, self._begun = BagWriter(path), p, False
-
-    def __enter__(self) -> "SmoothedWriter":
-        self._bag.__enter__()
-        return self
-
-    def __exit__(self, *raised: Any) -> None:
-        self._bag.__exit__(*raised)
+        super().__init__(path)
+        self._p, self._begun = p, False
 
     def add(self, block: Smoothed) -> None:
         """Write a block of estimates."""
@@ -191,4 +185,4 @@ class SmoothedWriter:
                 self._write(SMOOTHED + topic, TOPICS[topic].type_name, message, estimate.stamp_ns)
 
     def _write(self, topic: str, type_name: str, message: Any, stamp_ns: int) -> None:
-        self._bag.write(absolute_name(topic), type_name, serialize(message), stamp_ns)
+        self.write(absolute_name(topic), type_name, serialize(message), stamp_ns)
