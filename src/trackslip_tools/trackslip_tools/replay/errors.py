@@ -3,11 +3,12 @@
 """Exact errors against a truth that is logged with the estimates, in pieces and in bounded memory."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from trackslip_common.arrays import FloatArray, Rows
-from trackslip_common.orientations import tilts_of, wrap_angles
+from trackslip_common.orientations import wrap_angles
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import Score, errors_of, moving_slips, nees_of_each, path_of, slip_errors
 from trackslip_tools.replay.series import Series, series_of, sort_by_stamp
@@ -39,24 +40,6 @@ class TimestampQueue:
         due = rows["stamp_ns"] <= stamp_ns
         self._parts = [] if due.all() else [rows[~due]]
         return sort_by_stamp(rows[due]) if due.any() else None
-
-
-class TruthPairing:
-    """Pairs estimates with the true rows around them; both come in pieces."""
-
-    def __init__(self) -> None:
-        self._truth, self._estimates = TimestampQueue(), TimestampQueue()
-
-    def add(self, estimates: Rows, truth: Rows | None) -> tuple[Rows, Rows] | None:
-        """Add both; returns the estimates between two true rows, and these rows. None: no pairs yet."""
-        self._truth.add(truth)
-        self._estimates.add(estimates)
-        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
-        due, true = self._estimates.pop_until(until_ns), self._truth.pop_until(until_ns)
-        if due is None or true is None:
-            return None
-        inside = (due["stamp_ns"] >= true["stamp_ns"][0]) & (due["stamp_ns"] <= true["stamp_ns"][-1])
-        return due[inside], true
 
 
 class PathErrors:
@@ -165,69 +148,41 @@ class SlipErrors:
         return math.sqrt(self._sum / self._count) if self._count else None
 
 
-class TiltErrors:
-    """Errors of tilt against true odometry that is logged with the estimates; both come in pieces."""
+class PairedErrors:
+    """RMS errors of a part of ``ESTIMATE``, where known, against truth logged with it; both come in pieces.
 
-    def __init__(self) -> None:
-        self._pairs = TruthPairing()
-        self._tilt = self._height = 0.0  # sums of squares
-        self._count = 0
+    Args:
+        part, name: field of the estimate, and of this field; its values are (n,) or (n, k).
+        true_columns: rows of the truth → (k, m) true values.
+        is_angle: whether errors are angles, of which the shorter one counts.
+    """
 
-    def add(self, estimates: Rows, truth: Rows | None) -> None:
-        """Add records of ``ESTIMATE``, and rows of odometry."""
-        known = estimates[estimates["tilt"]["known"] == 1]
-        rows = np.zeros(len(known), [("stamp_ns", np.int64), ("tilt", np.float64, (3,))])
-        rows["stamp_ns"], rows["tilt"] = known["stamp_ns"], known["tilt"]["tilt"]
-        pairs = self._pairs.add(rows, truth)
-        if pairs is None:
-            return
-        estimated, truth_rows = pairs
-        expected = (*tilts_of(truth_rows).T, truth_rows["z"])
-        errors = np.column_stack(
-            [
-                estimated["tilt"][:, k] - np.interp(estimated["stamp_ns"], truth_rows["stamp_ns"], values)
-                for k, values in enumerate(expected)
-            ]
-        )
-        self._tilt += float(np.sum(errors[:, :2] ** 2)) / 2.0
-        self._height += float(np.sum(errors[:, 2] ** 2))
-        self._count += len(estimated)
-
-    @property
-    def attitude(self) -> float | None:
-        """RMS error of roll and pitch, rad; None without compared samples."""
-        return math.sqrt(self._tilt / self._count) if self._count else None
-
-    @property
-    def height(self) -> float | None:
-        """RMS error of the height, m; None without compared samples."""
-        return math.sqrt(self._height / self._count) if self._count else None
-
-
-class SwingErrors:
-    """Errors of the swing angle against a true one that is logged with the estimates; both in pieces."""
-
-    def __init__(self) -> None:
-        self._pairs = TruthPairing()
-        self._sum, self._count = 0.0, 0
+    def __init__(
+        self, part: str, name: str, true_columns: Callable[[Rows], FloatArray], *, is_angle: bool = False
+    ) -> None:
+        self._part, self._name, self._true_columns, self._is_angle = part, name, true_columns, is_angle
+        self._truth, self._estimates = TimestampQueue(), TimestampQueue()
+        self._squares, self._count = np.zeros(1), 0  # sums of squares of each column
 
     def add(self, estimates: Rows, truth: Rows | None) -> None:
-        """Add records of ``ESTIMATE``, and rows of ``SwingFields``."""
-        known = estimates[estimates["swing"]["known"] == 1]
-        rows = np.zeros(len(known), [("stamp_ns", np.int64), ("angle", np.float64)])
-        rows["stamp_ns"], rows["angle"] = known["stamp_ns"], known["swing"]["angle"]
-        pairs = self._pairs.add(rows, truth)
-        if pairs is None:
+        """Add records of ``ESTIMATE``, and rows of the truth."""
+        known = estimates[estimates[self._part]["known"] == 1]
+        self._estimates.add(series_of(stamp_ns=known["stamp_ns"], value=known[self._part][self._name]).rows)
+        self._truth.add(truth)
+        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
+        due, true = self._estimates.pop_until(until_ns), self._truth.pop_until(until_ns)
+        if due is None or true is None:
             return
-        estimated, truth_rows = pairs
-        expected = np.interp(estimated["stamp_ns"], truth_rows["stamp_ns"], np.unwrap(truth_rows["angle"]))
-        errors = wrap_angles(estimated["angle"] - expected)
-        self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(estimated)
+        due = due[(due["stamp_ns"] >= true["stamp_ns"][0]) & (due["stamp_ns"] <= true["stamp_ns"][-1])]
+        columns = self._true_columns(true)
+        expected = [np.interp(due["stamp_ns"], true["stamp_ns"], column) for column in columns]
+        errors = due["value"].reshape(len(due), len(columns)) - np.column_stack(expected)
+        errors = wrap_angles(errors) if self._is_angle else errors
+        self._squares, self._count = self._squares + np.sum(errors**2, axis=0), self._count + len(due)
 
-    @property
-    def rmse(self) -> float | None:
-        """RMS error of the swing angle, rad; None without compared samples."""
-        return math.sqrt(self._sum / self._count) if self._count else None
+    def rmse(self, columns: slice = slice(None)) -> float | None:
+        """RMS error of some columns together; None without compared samples."""
+        return math.sqrt(float(np.mean(self._squares[columns])) / self._count) if self._count else None
 
 
 def _join_paths(before: Path, P_before: FloatArray, path: Path, P: FloatArray) -> tuple[Path, FloatArray]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trackslip_common.arrays import Rows
+from trackslip_common.orientations import tilts_of
 from trackslip_common.tally import Tally
 from trackslip_common.topics import (
     LOCAL_ODOMETRY,
@@ -35,7 +36,7 @@ from trackslip_tools.replay.comparison import (
     tilt_rows,
 )
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.errors import PathErrors, SlipErrors, SwingErrors, TiltErrors
+from trackslip_tools.replay.errors import PairedErrors, PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import ProcessingCounts
@@ -122,8 +123,11 @@ class Collector:
         self._estimates = GrowingRows(KEPT_ESTIMATE, MOST_DRAWN)
         self._series = SeriesCollector(most=MOST_DRAWN)
         self._last, self._rejected = np.empty(0, KEPT_ESTIMATE), stream.rejected
-        self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
-        self._swing = SwingErrors()
+        self._errors, self._slips = PathErrors(), SlipErrors(vehicle.tread)
+        self._tilt = PairedErrors("tilt", "tilt", lambda true: np.array((*tilts_of(true).T, true["z"])))
+        self._swing = PairedErrors(
+            "swing", "angle", lambda true: np.unwrap(true["angle"])[np.newaxis], is_angle=True
+        )
         self._reckonings = {
             name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
@@ -177,8 +181,8 @@ class Collector:
         result.travel = self._travel
         result.reference, result.series = self._reference, self._series.series()
         result.slip_rmse = self._slips.rmse
-        result.swing_rmse = self._swing.rmse
-        result.attitude_rmse, result.height_rmse = self._tilt.attitude, self._tilt.height
+        result.swing_rmse = self._swing.rmse()
+        result.attitude_rmse, result.height_rmse = map(self._tilt.rmse, (slice(2), slice(2, None)))
         if len(result.estimates):
             result.paths["filter"] = path_of(sort_by_stamp(result.estimates))
         if self._reference is not None and self._reference in result.series:
