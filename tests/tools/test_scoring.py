@@ -55,11 +55,6 @@ def errors_against(estimated: Rows, reference: Path, R: np.ndarray | None = None
     return errors
 
 
-def test_a_path_against_itself_has_no_error() -> None:
-    p = path((0, 100, 200), (0, 0, 0), (1, 1, 1), (2, 0, 4))
-    assert score(p, p) == Score(3, 0.0, 0.0)
-
-
 def test_root_mean_square_by_hand() -> None:
     """Errors 5 m and 0; 0.1 and 0.3 rad."""
     estimated = path((0, 100), (3, 4, 0.1), (1, 1, 0.3))
@@ -75,12 +70,6 @@ def test_the_reference_counts_every_sample_at_its_own_stamp() -> None:
     result = score(estimated, reference)
     assert result is not None
     assert (result.samples, result.position) == (4, pytest.approx(0.5))
-
-
-def test_paths_are_scored_without_alignment() -> None:
-    result = score(path((0, 100), (1, 0, 0), (2, 0, 0)), path((0, 100), (0, 0, 0), (1, 0, 0)))
-    assert result is not None
-    assert result.position == pytest.approx(1.0)
 
 
 def test_only_what_the_path_covers_is_scored() -> None:
