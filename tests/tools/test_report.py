@@ -233,7 +233,10 @@ def test_one_bag_with_two_parameter_files_is_a_comparison(
 def test_a_bag_without_an_estimate_makes_a_page_and_exit_code_1(bag: Path, tmp_path: Path) -> None:
     output = tmp_path / "report.html"
     assert report(bag, "--withhold", "box_pose", "--output", output) == ExitCode.FAILED
-    assert "No fix came: box_pose is withheld" in output.read_text(encoding="utf-8")
+    page = output.read_text(encoding="utf-8")
+    assert "No fix came: box_pose is withheld" in page
+    assert "No measurement was used" in page
+    assert "very measurement was used" not in page
 
 
 @pytest.mark.parametrize(
