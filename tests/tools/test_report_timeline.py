@@ -86,10 +86,12 @@ def test_a_run_without_an_estimate_has_a_headline_all_the_same(emulated_run: Run
 # Events
 
 
-def test_stalled_and_stuck_tracks_are_named_in_headline_events_and_strip(stalled_run: Run) -> None:
+def test_stalled_and_stuck_tracks_are_named_in_headline_verdict_events_and_strip(stalled_run: Run) -> None:
     fact = facts(stalled_run)["Stalled or stuck"]
     assert fact.state is State.ATTENTION
     assert fact.note == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
+    verdict = verdicts(stalled_run, load_limits())["Tracks"]
+    assert (verdict.state, verdict.value) == (State.ATTENTION, fact.note)
     reported = [(round(1e-3 * event.time_ms), event.text) for event in events_of(stalled_run)]
     assert (10, "left track stalled for 10.0 s") in reported
     assert (30, "right track getting stuck for 5.0 s") in reported

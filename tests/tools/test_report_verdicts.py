@@ -192,12 +192,6 @@ def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
     assert output == "Every replayed measurement was used. 5 were withheld."
 
 
-def test_a_stalled_track_is_named(stalled_run: Run) -> None:
-    verdict = verdicts(stalled_run, load_limits())["Tracks"]
-    assert verdict.state is State.ATTENTION
-    assert verdict.value == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
-
-
 # Limits
 
 
