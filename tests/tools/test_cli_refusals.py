@@ -53,6 +53,10 @@ BagOf = Callable[..., Path]
         ("--remap box_pose", "--remap box_pose: accepted: from:=to"),
         ("--remap bocks:=box_pose", "no messages on /bocks; it holds: /box_pose"),
         ("--remap imu/data_raw:=box_pose", "/imu/data_raw is a sensor_msgs/msg/Imu; accepted: geometry_msgs"),
+        (
+            "--set slip_estimator.slip_sources=[sprockets]",
+            "/sprockets is a sensor_msgs/msg/JointState; accepted",
+        ),
         ("--reference truth", "no messages on /truth; it holds: /box_pose"),
         ("--reference imu/data_raw", "imu/data_raw: it is a sensor_msgs/msg/Imu; accepted: geometry_msgs"),
         ("--start 5 --stop 5", "accepted: start before stop"),

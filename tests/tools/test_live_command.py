@@ -32,7 +32,6 @@ BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        ([str(BAG), "--host", "0.0.0.0"], "origin"),
         ([str(BAG), "--origin", "http://digger.local"], "http://digger.local"),
         ([str(BAG), "--port", "70000"], "70000"),
         ([str(BAG), "--host", "no.such.host.invalid"], "no.such.host.invalid"),
@@ -55,7 +54,8 @@ def test_arguments_that_cannot_be_served_are_refused_in_one_line(
 
 def test_address_is_refused_before_the_bag_is_replayed(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["live", str(BAG), "--host", "0.0.0.0"]) == ExitCode.BAD_INPUT
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "origin" in line
 
 
 @pytest.mark.slow
