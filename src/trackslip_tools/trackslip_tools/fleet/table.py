@@ -10,11 +10,11 @@ from typing import Any
 from trackslip_common.errors import ExitCode
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import short_names
+from trackslip_tools.replay.no_estimate import count_since_start
 from trackslip_tools.report.quantities import found_soil
 from trackslip_tools.terminal_text import table, wrap_line
 
 NO_VALUE = "–"
-_WAITING = "waiting"  # rejections before the start
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -37,8 +37,7 @@ def _rejected_count(summary: Mapping[str, Any]) -> str:
     """Number of measurements rejected since the start."""
     if not summary:
         return NO_VALUE
-    counts = (item for of_source in summary["rejected"].values() for item in of_source.items())
-    return str(sum(count for reason, count in counts if reason != _WAITING))
+    return str(sum(map(count_since_start, summary["rejected"].values())))
 
 
 def _soil(summary: Mapping[str, Any]) -> str:

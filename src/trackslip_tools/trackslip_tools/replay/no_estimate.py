@@ -4,7 +4,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from trackslip_bags.input_filters import InputFilters, relative_name
@@ -67,14 +67,17 @@ def explain_missing_estimate(
     return "no sprockets after the first fix"
 
 
+def count_since_start(reasons: Mapping[str, int]) -> int:
+    """Number of rejections without those of measurements that waited for the start, from reason → number."""
+    return sum(count for reason, count in reasons.items() if reason != _WAITING)
+
+
 def _are_all_rejected(processed: ProcessingCounts, sources: Iterable[str]) -> bool:
     """Whether all inputs of these sources were rejected; those that waited for a start count as usable."""
     by_source = processed.rejected.by_source()
-    for source in sources:
-        rejected = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
-        if rejected < processed.input_counts[source]:
-            return False
-    return True
+    return all(
+        count_since_start(by_source.get(source, {})) >= processed.input_counts[source] for source in sources
+    )
 
 
 def _rejection_reasons(processed: ProcessingCounts, sources: Iterable[str]) -> str:

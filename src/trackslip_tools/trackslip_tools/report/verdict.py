@@ -11,7 +11,7 @@ from trackslip_common.config_files import config_file, load_parameters, node_par
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter, to_flat
 from trackslip_common.topics import SENSOR_TOPICS, SOIL
-from trackslip_estimation.slip.measurements import Outcome
+from trackslip_tools.replay.no_estimate import count_since_start
 from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
@@ -19,7 +19,6 @@ from trackslip_tools.report.timeline import silence_limits, stuck_track_interval
 
 SECTION = "report"
 DEFAULT_FILES = ("report.yaml",)
-_WAITING = Outcome.WAITING.name.lower()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,17 +266,16 @@ def _check_gaps(run: Run, _: VerdictLimits) -> Verdict:
 def _check_rejections(run: Run, limits: VerdictLimits) -> Verdict:
     """Check the share of rejected measurements; those before the start do not count, if there is a start."""
     rejected = run.replay.rejected_by_source
-    early = sum(reasons.get(_WAITING, 0) for reasons in rejected.values())
+    total = sum(sum(reasons.values()) for reasons in rejected.values())
     if run.states is None:
-        total = sum(sum(reasons.values()) for reasons in rejected.values())
         return _make_verdict(False, f"all {total}", "No measurement was used: there is no estimate.")
     shares = {
         source: count / max(run.replay.messages.get(source, count), 1)
         for source, reasons in rejected.items()
-        if (count := sum(n for reason, n in reasons.items() if reason != _WAITING))
+        if (count := count_since_start(reasons))
     }
     if not shares:
-        return _make_verdict(True, *_all_used_texts(run, early))
+        return _make_verdict(True, *_all_used_texts(run, total))
     value = ", ".join(f"{source} {PERCENT * share:.2f} %" for source, share in shares.items())
     is_good = max(shares.values()) <= limits.refused
     return _make_verdict(
