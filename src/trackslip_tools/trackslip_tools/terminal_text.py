@@ -2,13 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Formats text for terminals of 80 columns: wraps lines, and folds tables that are too wide."""
 
+import math
 import re
 import textwrap
 from collections.abc import Sequence
 
 WIDTH = 80
+NO_VALUE = "–"
 _RULE = re.compile(r":?-+:?")
 _GAP = "  "
+
+
+def number_text(value: float | None, form: str) -> str:
+    """A number in this format; a dash if there is none, or it is not finite."""
+    return NO_VALUE if value is None or not math.isfinite(value) else format(value, form)
 
 
 def wrap_line(line: str, indent: str = "  ") -> str:

@@ -12,13 +12,7 @@ from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import short_names
 from trackslip_tools.replay.no_estimate import count_since_start
 from trackslip_tools.report.quantities import found_soil
-from trackslip_tools.terminal_text import table, wrap_line
-
-NO_VALUE = "–"
-
-
-def _number(value: float | None, digits: int) -> str:
-    return NO_VALUE if value is None else f"{value:.{digits}f}"
+from trackslip_tools.terminal_text import NO_VALUE, number_text, table, wrap_line
 
 
 def _rmse(summary: Mapping[str, Any]) -> str:
@@ -53,8 +47,8 @@ def _soil(summary: Mapping[str, Any]) -> str:
 
 _EXIT_TEXTS = {ExitCode.DONE: "0 done", ExitCode.FAILED: "1 failed", ExitCode.BAD_INPUT: "2 bad input"}
 COLUMNS: Mapping[str, Callable[[Entry], str]] = {
-    "s": lambda entry: _number(entry.summary.get("duration_s"), 0),
-    "m": lambda entry: _number(entry.distance, 1),
+    "s": lambda entry: number_text(entry.summary.get("duration_s"), ".0f"),
+    "m": lambda entry: number_text(entry.distance, ".1f"),
     "RMSE cm": lambda entry: _rmse(entry.summary),
     "NEES/dof": lambda entry: _nees(entry.summary),
     "rejected": lambda entry: _rejected_count(entry.summary),

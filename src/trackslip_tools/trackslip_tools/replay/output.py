@@ -39,7 +39,7 @@ from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import rejection_lines, soil_lines, soil_messages, soil_summary
 from trackslip_tools.replay.stuck_tracks import stuck_track_lines
-from trackslip_tools.terminal_text import wrap_line
+from trackslip_tools.terminal_text import number_text, wrap_line
 
 _MOST_EVENTS = 12  # listed in the text
 _PATH_NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
@@ -238,8 +238,8 @@ def _score_lines(result: Replay) -> list[str]:
     lines = [f"{f'RMSE against {result.reference}':<34}{'position m':>12}{'heading rad':>14}"]
     for name, label in _PATH_NAMES.items():
         score = result.scores.get(name)
-        position = f"{score.position:.4f}" if score else "–"
-        heading = f"{score.heading:.4f}" if score and score.heading is not None else "–"
+        values = (score.position, score.heading) if score else (None, None)
+        position, heading = (number_text(value, ".4f") for value in values)
         lines.append(f"  {label:<32}{position:>12}{heading:>14}")
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")

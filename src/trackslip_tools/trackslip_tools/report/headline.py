@@ -17,8 +17,8 @@ from trackslip_tools.report.quantities import PERCENT, found_soil
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.timeline import stuck_track_intervals, stuck_tracks_text
 from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
+from trackslip_tools.terminal_text import NO_VALUE
 
-_NO_VALUE = "–"
 _LEAST_TIME_S = 0.5  # shortest duration of a slip, s
 
 
@@ -37,7 +37,7 @@ def facts_of(
     """All key numbers, in display order."""
     travel = run.replay.travel
     straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
-    distance, driving, standing, durations = _NO_VALUE, _NO_VALUE, _NO_VALUE, ""
+    distance, driving, standing, durations = NO_VALUE, NO_VALUE, NO_VALUE, ""
     if run.states is not None:
         distance, driving = f"{travel.distance:.1f} m", f"{straight + turning:.0f} s"
         standing = f"{travel.seconds[Motion.STANDING]:.0f} s"
@@ -67,18 +67,18 @@ def _largest_slip_fact(run: Run, limits: VerdictLimits) -> Fact:
     """The largest slip among estimates whose slip has a small standard deviation."""
     name = "Largest slip"
     if run.states is None:
-        return Fact(name, _NO_VALUE)
+        return Fact(name, NO_VALUE)
     states = run.states
     sigmas = np.sqrt(np.diagonal(states.rows["slip_covariance"], axis1=1, axis2=2)[:, :2])
     is_known = states.is_moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
     never_known = f"never known to {PERCENT * limits.slip_stddev:g} %"
     if not is_known.any():
-        return Fact(name, _NO_VALUE, never_known)
+        return Fact(name, NO_VALUE, never_known)
     times = run.recording.seconds(states.path.stamps_ns)
     known_slips = np.where(is_known, states.rows["slips"][:, :2], np.nan)
     slips = np.column_stack([persistent_slips(times, of_side) for of_side in known_slips.T])
     if not np.isfinite(slips).any():
-        return Fact(name, _NO_VALUE, f"{never_known} for {_LEAST_TIME_S:g} s")
+        return Fact(name, NO_VALUE, f"{never_known} for {_LEAST_TIME_S:g} s")
     sizes = np.where(np.isfinite(slips), np.abs(slips), -1.0)
     k, side = np.unravel_index(np.argmax(sizes), sizes.shape)
     note = f"{SIDES[side]} track at {times[k]:.1f} s, ± {2.0 * PERCENT * sigmas[k, side]:.0f} %"
@@ -99,7 +99,7 @@ def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
 def _stuck_tracks_fact(run: Run) -> Fact:
     name, intervals = "Stalled or stuck", stuck_track_intervals(run)
     if not intervals:
-        return Fact(name, _NO_VALUE, "no hydraulics in the bag")
+        return Fact(name, NO_VALUE, "no hydraulics in the bag")
     troubles = stuck_tracks_text(intervals)
     return Fact(name, "yes", troubles, State.ATTENTION) if troubles else Fact(name, "no", "", State.OK)
 
@@ -107,7 +107,7 @@ def _stuck_tracks_fact(run: Run) -> Fact:
 def _soil_fact(run: Run) -> Fact:
     numbers = run.numbers.get(SOIL)
     if numbers is None:
-        return Fact("Soil", _NO_VALUE, "neither hydraulics nor soil estimates in the bag")
+        return Fact("Soil", NO_VALUE, "neither hydraulics nor soil estimates in the bag")
     last = numbers.rows[-1]
     note = f"K {100.0 * last['shear_modulus']:.1f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
     chances = numbers.classes_at(-1)

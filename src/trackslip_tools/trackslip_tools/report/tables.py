@@ -11,6 +11,7 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.report.events import MAX_EVENTS, Event
 from trackslip_tools.report.run import Run
+from trackslip_tools.terminal_text import NO_VALUE, number_text
 
 Row = tuple[str, ...]
 
@@ -28,8 +29,8 @@ def topic_rows(run: Run) -> list[Row]:
     rows: list[Row] = []
     for name, timing in run.recording.timings.items():
         usual = 1.0 / timing.period if timing.period else math.nan
-        rates = (_number(value, ".2f") for value in (usual, timing.rate, 100.0 * timing.lost_share))
-        gaps = (str(len(timing.gaps)), _number(timing.longest_interval, ".3f"))
+        rates = (number_text(value, ".2f") for value in (usual, timing.rate, 100.0 * timing.lost_share))
+        gaps = (str(len(timing.gaps)), number_text(timing.longest_interval, ".3f"))
         rows.append((name, str(len(timing.times)), *rates, *gaps))
     return rows
 
@@ -38,7 +39,7 @@ def rejection_rows(run: Run) -> list[Row]:
     """Source, reason, count, share of the source's messages, of the rejected measurements."""
     messages = run.replay.messages
     return [
-        (source, reason, str(count), _number(100.0 * count / max(messages.get(source, count), 1), ".2f"))
+        (source, reason, str(count), number_text(100.0 * count / max(messages.get(source, count), 1), ".2f"))
         for source, reasons in run.replay.rejected_by_source.items()
         for reason, count in reasons.items()
     ]
@@ -59,7 +60,7 @@ def _rows(defaults: Parameters, of_runs: Sequence[Parameters], node: str) -> lis
     fields = {name: spec for p in (defaults, *of_runs) for name, _, spec in flat_fields(p)}
     for name, spec in fields.items():
         meaning = f"{spec.description}, {spec.unit}" if spec.unit else spec.description
-        rows.append((f"{node}.{name}", meaning, *(_value(column.get(name, "–")) for column in columns)))
+        rows.append((f"{node}.{name}", meaning, *(_value(column.get(name, NO_VALUE)) for column in columns)))
     return rows
 
 
@@ -85,10 +86,6 @@ def run_facts(run: Run, colour: str) -> dict[str, str]:
         "filter": f"{p.filter}, model {p.model}",
         "speed": f"{run.replay.duration_s / run.replay.elapsed_s:.0f} × real time",
     }
-
-
-def _number(value: float, form: str) -> str:
-    return f"{value:{form}}" if math.isfinite(value) else "–"
 
 
 def _value(value: object) -> str:

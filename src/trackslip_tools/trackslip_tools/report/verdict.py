@@ -16,6 +16,7 @@ from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.timeline import silence_limits, stuck_track_intervals, stuck_tracks_text
+from trackslip_tools.terminal_text import NO_VALUE
 
 SECTION = "report"
 DEFAULT_FILES = ("report.yaml",)
@@ -99,7 +100,7 @@ def _make_verdict(is_good: bool, value: str, words: str) -> Verdict:
 
 
 def _unchecked(words: str) -> Verdict:
-    return Verdict(State.UNKNOWN, "–", words)
+    return Verdict(State.UNKNOWN, NO_VALUE, words)
 
 
 def _check_setup(run: Run, _: VerdictLimits) -> Verdict:

@@ -29,7 +29,7 @@ from trackslip_tools.replay.run import default_reference
 from trackslip_tools.replay.series import Series
 from trackslip_tools.replay.sorted_inputs import read_sorted_inputs
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
-from trackslip_tools.terminal_text import wrap_line
+from trackslip_tools.terminal_text import number_text, wrap_line
 
 Watch = Callable[[Smoothed], None]
 
@@ -76,8 +76,8 @@ class SmoothedBag:
         lines.append(wrap_line(f"RMSE against {self.reference}; NEES is 3 if consistent"))
         lines.append(f"  {'':<21}" + "".join(f"{name:>14}" for name in _COLUMNS))
         for name in ("filter", "smoother"):
-            cells = ("–" if value is None else f"{value:.4f}" for value in getattr(self, name))
-            lines.append(f"  {name:<21}" + "".join(f"{cell:>14}" for cell in cells))
+            cells = (f"{number_text(value, '.4f'):>14}" for value in getattr(self, name))
+            lines.append(f"  {name:<21}" + "".join(cells))
         return "\n".join(lines)
 
 
