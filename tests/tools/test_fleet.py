@@ -28,8 +28,8 @@ from trackslip_common.errors import ExitCode, InputError, collect_output, show
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
-from trackslip_tools.fleet.find import find_bags, is_folder
-from trackslip_tools.fleet.table import named_entries, text
+from trackslip_tools.fleet.find import find_bags, is_folder, short_names
+from trackslip_tools.fleet.table import text
 from trackslip_tools.terminal_text import WIDTH
 from trackslip_tools.workers import open_workers
 
@@ -181,12 +181,25 @@ def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     assert [entry["notes"] for entry in entries] == [[alone], []]
 
 
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["out/monday/bag", "out/tuesday/bag"], ["monday/bag", "tuesday/bag"]),
+        (["bags/a", "bags/b"], ["a", "b"]),
+        (["out/demo/bag"], ["bag"]),
+        (["b", "a/b"], ["b", "a/b"]),
+        (["/data/monday/morning/one", "/data/monday/two"], ["morning/one", "two"]),
+    ],
+)
+def test_a_bag_is_named_by_what_distinguishes_it(paths: list[str], names: list[str]) -> None:
+    assert short_names([Path(path) for path in paths]) == names
+
+
 def test_the_table_names_what_is_missing_and_fits() -> None:
     entries = [
         Entry("/data/monday/morning/one", ExitCode.BAD_INPUT, "bag cannot be read"),
         Entry("/data/monday/two", ExitCode.FAILED, "no fix came", summary=SUMMARY, distance=12.34),
     ]
-    assert [name for name, _ in named_entries(entries)] == ["morning/one", "two"]
     shown = text(entries)
     assert "morning/one: bag cannot be read" in shown
     assert "two: no fix came" in shown

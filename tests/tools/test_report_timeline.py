@@ -19,7 +19,6 @@ from trackslip_estimation.slip.events import Event as Explaining
 from trackslip_estimation.slip.explanations import AcceptedEvent, CompetingExplanations, Explanation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.cli.report_command import distinct_names
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.headline import Fact, facts_of
@@ -256,21 +255,6 @@ def test_runs_over_two_bags_are_aligned_at_the_start_of_driving(emulated_run: Ru
 
 def test_runs_over_one_bag_keep_its_times(emulated_run: Run) -> None:
     assert align_runs([emulated_run, emulated_run]) == [emulated_run, emulated_run]
-
-
-@pytest.mark.parametrize(
-    ("paths", "names"),
-    [
-        (("out/monday/bag", "out/tuesday/bag"), ("monday/bag", "tuesday/bag")),
-        (("bags/a", "bags/b"), ("a", "b")),
-        (("out/demo/bag",), ("out/demo/bag",)),
-        (("a/b", "a/b"), ("a/b", "a/b")),
-        (("b", "a/b"), ("b", "a/b")),
-    ],
-)
-def test_a_bag_is_named_by_what_distinguishes_it(paths: tuple[str, ...], names: tuple[str, ...]) -> None:
-    names_by_path = distinct_names([Path(path) for path in paths])
-    assert tuple(names_by_path[Path(path)] for path in paths) == names
 
 
 # Texts

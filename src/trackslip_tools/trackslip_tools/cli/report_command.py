@@ -25,7 +25,7 @@ from trackslip_tools.cli.outputs import (
 )
 from trackslip_tools.cli.progress import progress_bar, replay_progress, scale_progress
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
-from trackslip_tools.fleet.find import is_folder
+from trackslip_tools.fleet.find import is_folder, short_names
 from trackslip_tools.fleet.pages import INDEX, write_pages
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.parts import Watch, combine_watches
@@ -80,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
-    names = distinct_names(args.bags)
+    short = short_names(args.bags) if len(set(args.bags)) > 1 else map(str, args.bags)
+    names = dict(zip(args.bags, short, strict=True))
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
@@ -145,16 +146,6 @@ def _smoothed_estimates(bag: Bag, p: SlipEstimatorParameters, filters: InputFilt
     smoothed = GrowingRows(ESTIMATE, MOST_DRAWN)
     smooth_bag(bag, p, filters, None, lambda block: smoothed.add(block.smoothed))
     return smoothed.rows()
-
-
-def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """The shortest ends of the paths that distinguish them; a single path is returned whole."""
-    unique = list(dict.fromkeys(paths))
-    for count in range(1, max(len(path.parts) for path in unique)) if len(unique) > 1 else ():
-        ends = {path: str(Path(*path.parts[-count:])) for path in unique}
-        if len(set(ends.values())) == len(unique):
-            return ends
-    return {path: str(path) for path in unique}
 
 
 def _run_label(bag: str, name: str, bags: bool, files: bool) -> str:
