@@ -68,7 +68,7 @@ def nees_of_each(
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
-    is_covered = _is_covered(path, reference)
+    is_covered = is_covered_by(path, reference)
     S = covariances[np.searchsorted(midpoints, reference.stamps_ns[is_covered]), :size, :size]
     if reference.covariances is not None:
         S = S + usable_covariances(reference.covariances[is_covered, :size, :size])
@@ -138,16 +138,15 @@ def slip_errors(estimated: Series, true: Series) -> FloatArray:
     return known
 
 
-def _is_covered(path: Path, reference: Path) -> BoolArray:
-    is_covered: BoolArray = (reference.stamps_ns >= path.stamps_ns[0]) & (
-        reference.stamps_ns <= path.stamps_ns[-1]
-    )
-    return is_covered
+def is_covered_by(path: Path, reference: Path) -> BoolArray:
+    """(n,) whether the path covers the stamp of each sample of the reference."""
+    stamps_ns = reference.stamps_ns
+    return np.asarray((stamps_ns >= path.stamps_ns[0]) & (stamps_ns <= path.stamps_ns[-1]))
 
 
 def errors_of(path: Path, reference: Path) -> FloatArray:
     """(k, 3) errors at the samples of the reference that the path covers, heading in (−π, π]."""
-    is_covered = _is_covered(path, reference)
+    is_covered = is_covered_by(path, reference)
     stamps_ns = reference.stamps_ns[is_covered]
     errors: FloatArray = path.poses_at(stamps_ns) - reference.poses[is_covered]
     errors[:, 2] = wrap_angles(errors[:, 2])

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.orientations import is_heading_known, wrap_angles
+from trackslip_common.orientations import is_heading_known
 from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
-from trackslip_tools.replay.scoring import moving_slips
+from trackslip_tools.replay import scoring
+from trackslip_tools.replay.scoring import is_covered_by, moving_slips
 from trackslip_tools.replay.series import Series
 from trackslip_tools.report.panel import (
     INK,
@@ -78,15 +79,13 @@ def errors_of(run: Run, states: States) -> Errors | None:
     reference = run.replay.paths.get("reference")
     if reference is None:
         return None
-    values = states.path.poses_at(reference.stamps_ns) - reference.poses
-    is_covered = np.isfinite(values[:, 0])
-    if not is_covered.any():
+    stamps_ns = reference.stamps_ns[is_covered_by(states.path, reference)]
+    if not len(stamps_ns):
         return None
-    values[:, 2] = wrap_angles(values[:, 2])
-    stamps_ns = reference.stamps_ns[is_covered]
     following = np.searchsorted(states.path.stamps_ns, stamps_ns)
     covariances = states.rows["pose_covariance"][following]
-    return Errors(run.recording.seconds(stamps_ns), values[is_covered], covariances)
+    values = scoring.errors_of(states.path, reference)
+    return Errors(run.recording.seconds(stamps_ns), values, covariances)
 
 
 def true_slips(run: Run) -> Series | None:
