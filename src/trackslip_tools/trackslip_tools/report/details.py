@@ -9,6 +9,7 @@ import numpy as np
 from trackslip_common.arrays import IntArray, Rows
 from trackslip_common.orientations import wrap_angles
 from trackslip_estimation.slip.explanations import CompetingExplanations
+from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
 from trackslip_tools.replay.arrivals import ARRIVAL
@@ -94,6 +95,11 @@ class Details:
     def fixes(self) -> Rows:
         """(n,) FIX of all fixes, with their values and covariances."""
         return self._fixes.rows()
+
+    @property
+    def accepted_fixes(self) -> Rows:
+        """(n,) FIX of those that were used."""
+        return self.fixes[self.fixes["outcome"] == Outcome.ACCEPTED]
 
 
 def _fill_expected_poses(fixes: Rows, estimates: Rows, published: IntArray) -> None:

@@ -131,13 +131,11 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
     Rejected fixes, fixes before the first estimate, and fixes for whose stamp no estimate was published in
     time are left out.
     """
-    fixes = run.details.fixes
-    rejected = [outcome for outcome in Outcome if outcome.is_rejected]
-    compared = fixes["expected"] & ~np.isin(fixes["outcome"], rejected)
+    fixes = run.details.accepted_fixes
     whitened = {}
     for source, parameters in run.parameters.poses().items():
         numbers = [k for k, name in enumerate(run.details.sources) if name == source]
-        of_source = fixes[compared & np.isin(fixes["source"], numbers)]
+        of_source = fixes[fixes["expected"] & np.isin(fixes["source"], numbers)]
         if len(of_source):
             times = run.recording.seconds(of_source["stamp_ns"])
             whitened[source] = times, _whiten_differences(of_source, parameters)

@@ -11,7 +11,6 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.report import plan_shapes
 from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, curve_colour, curve_label
@@ -154,8 +153,7 @@ def boxes(run: Run) -> FloatArray:
 
 def fixes_of(run: Run) -> dict[str, FloatArray]:
     """Source → (n, 3) poses of accepted fixes."""
-    fixes = run.details.fixes
-    fixes = fixes[fixes["outcome"] == Outcome.ACCEPTED]
+    fixes = run.details.accepted_fixes
     by_source = {
         run.details.sources[number]: fixes["source"] == number for number in np.unique(fixes["source"])
     }

@@ -82,11 +82,10 @@ def stuck_track_intervals(run: Run) -> dict[str, list[StateInterval]]:
 
 def loss_intervals(run: Run) -> dict[str, list[StateInterval]]:
     """Source of poses → intervals without an accepted fix, longer than its silence limit."""
-    fixes, limits = run.details.fixes, silence_limits(run)
+    fixes, limits = run.details.accepted_fixes, silence_limits(run)
     intervals: dict[str, list[StateInterval]] = {}
     for number, source in enumerate(run.details.sources):
-        is_accepted = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
-        times = np.sort(run.recording.seconds(fixes["stamp_ns"][is_accepted]))
+        times = np.sort(run.recording.seconds(fixes["stamp_ns"][fixes["source"] == number]))
         if source in limits and len(times):
             ends = np.append(times[1:], max(measured_interval(run).stop, times[-1]))
             gaps = np.flatnonzero(ends - times > limits[source])
