@@ -33,7 +33,7 @@ def describe(bag: Bag) -> str:
         (
             printable(topic),
             str(info.count),
-            _rate_text(info.count, bag.duration_s),
+            f"{info.count / bag.duration_s:.2f}" if bag.duration_s > 0.0 else "-",
             printable(", ".join(sorted({info.type_name, *info.other_types}))),
         )
         for topic, info in sorted(bag.topics.items())
@@ -49,7 +49,3 @@ def _vehicle_lines(bag: Bag) -> list[str]:
         name = f"not named: {DEFAULT_VEHICLE} is assumed" if vehicle is None else printable(vehicle.name)
         lines.append(f"vehicle   {name}" + (f" (--namespace {printable(namespace)})" if namespace else ""))
     return lines
-
-
-def _rate_text(count: int, duration_s: float) -> str:
-    return f"{count / duration_s:.2f}" if duration_s > 0.0 else "-"

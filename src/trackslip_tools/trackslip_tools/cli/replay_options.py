@@ -73,11 +73,6 @@ class ReplayOptions:
             seed=self.seed,
         )
 
-    @property
-    def reference_topic(self) -> str | None:
-        """The topic without a leading slash."""
-        return relative_name(self.reference) if self.reference else None
-
 
 def options_of(args: argparse.Namespace) -> ReplayOptions:
     """The options of a command line, as declared by ``add_options``."""
@@ -252,7 +247,7 @@ def read_settings(
     Raises:
         InputError: a file, a name or a value is rejected, or an option names an unknown topic.
     """
-    filters, reference = options.filters(), options.reference_topic
+    filters, reference = options.filters(), relative_name(options.reference or "") or None
     p = parameters_of(bag, files, settings, vehicle)
     _require_named_topics(bag, p, filters, reference)
     return p, filters, reference

@@ -28,7 +28,9 @@ def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict
     odometry = now.get(ODOMETRY, now_s)
     if odometry is not None:
         pose = inputs.pose_of(odometry)
-        outlines |= _machine_outlines(pose, vehicle)
+        length, width = machine_size(vehicle)
+        outlines["machine"] = rectangle(pose, (length, width), (0.0, 0.0))
+        outlines["nose"] = transform_points(pose, np.array(((0.0, 0.0), (0.9 * length, 0.0))))
         with suppress(np.linalg.LinAlgError):  # invalid covariance
             outlines["ellipse"] = ellipses(pose[np.newaxis, :2], odometry.covariance[np.newaxis, :2, :2])[0]
         swing = now.get(inputs.SWING, now_s)
@@ -38,12 +40,6 @@ def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict
     if fix is not None and sensors is not None and sensors.box is not None:
         outlines["box"] = box_outline(sensors.box, inputs.pose_of(fix))
     return outlines
-
-
-def _machine_outlines(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArray]:
-    length, width = machine_size(vehicle)
-    nose = np.array(((0.0, 0.0), (0.9 * length, 0.0)))
-    return {"machine": rectangle(pose, (length, width), (0.0, 0.0)), "nose": transform_points(pose, nose)}
 
 
 def _upper_structure_line(pose: FloatArray, angle: float, vehicle: VehicleParameters) -> FloatArray:

@@ -189,7 +189,9 @@ def text(result: Replay, elapsed_s: float) -> str:
     lines += map(str, result.withheld)
     lines += [result.start] if result.start else []
     lines += _event_lines(result)
-    lines += _learned_lines(result)
+    learned = quantity_lines(result.findings)
+    lines += ["learned values of the machine and its ground"] if learned else []
+    lines += [f"  {line}" for line in learned]
     lines += _score_lines(result)
     lines += _live_lines(result)
     if result.soil is not None:
@@ -215,12 +217,6 @@ def _event_lines(result: Replay) -> list[str]:
     lines += [f"  and {len(events) - _MOST_EVENTS} more"] if len(events) > _MOST_EVENTS else []
     lines += [f"  {outliers} single outliers"] if outliers else []
     return ["events that explain contradictions", *lines] if lines else []
-
-
-def _learned_lines(result: Replay) -> list[str]:
-    """One line for each observed quantity, and one for all others."""
-    lines = quantity_lines(result.findings)
-    return ["learned values of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 
 def _final_values(result: Replay) -> dict[str, float] | None:

@@ -6,7 +6,16 @@ from collections.abc import Iterator, Sequence
 
 from trackslip_common.topics import SOIL
 from trackslip_tools.report.numbers import Numbers
-from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, curve_colour, plot_title
+from trackslip_tools.report.panel import (
+    COLOURS,
+    INK,
+    Curve,
+    Form,
+    Panel,
+    curve_colour,
+    curve_label,
+    plot_title,
+)
 from trackslip_tools.report.quantities import FIELD_PANELS, PERCENT, FieldCurve, FieldPanel
 from trackslip_tools.report.run import Run, first_runs_of_bags
 
@@ -26,7 +35,7 @@ def ground_panels(runs: Sequence[Run]) -> list[Panel]:
 def _curves(runs: Sequence[Run], panel: FieldPanel) -> Iterator[Curve]:
     for run in (run for run in runs if panel.topic in run.numbers):
         for field in panel.fields:
-            label = field.label if len(runs) == 1 else f"{run.label}, {field.label}"
+            label = curve_label(runs, run, field.label)
             colour = curve_colour(runs, run, field.colour)
             form = field.form if len(runs) > 1 else Form.LINE
             yield _curve(run.numbers[panel.topic], field, panel.scale, label, colour, form)
@@ -46,7 +55,7 @@ def _true_curves(runs: Sequence[Run], panel: FieldPanel) -> Iterator[Curve]:
         numbers = run.numbers[panel.truth]
         colour = INK if len(bags) == 1 else curve_colour(runs, run, INK)
         for field in panel.fields:
-            label = f"true {field.label}" if len(bags) == 1 else f"{run.label}, true {field.label}"
+            label = curve_label(bags, run, f"true {field.label}")
             yield Curve(label, colour, numbers.times, panel.scale * numbers.rows[field.field], Form.DOTTED)
 
 
