@@ -15,6 +15,7 @@ from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import Bag, absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.arrays import Rows
+from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
@@ -97,16 +98,16 @@ def smooth_bag(
     requested = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     detailed = frozenset(requested) - {TRUE_SLIP, TRUE_ODOMETRY}
     measurements, series = read_sorted_inputs(bag, p, filters, requested, detailed)
-    truth = _TruthReader(series, reference)
+    truth = [series.get(topic or "") for topic in (TRUE_SLIP, TRUE_ODOMETRY, reference)]
     filter_errors, smoother_errors = (_EstimateErrors(p.vehicle.kinematics.tread) for _ in range(2))
-    count = first_ns = last_ns = 0
+    count, first_ns, last_ns = 0, NEVER_NS, NEVER_NS
     for block in smoothed_blocks(measurements, p):
         if not len(block.smoothed):
             continue
         stamps_ns = block.smoothed["stamp_ns"]
+        rows = [_rows_between(one, last_ns, int(stamps_ns[-1])) for one in truth]
         first_ns, last_ns = first_ns if count else int(stamps_ns[0]), int(stamps_ns[-1])
         count += len(block.smoothed)
-        rows = truth.read_until(last_ns)
         filter_errors.add(block.filtered, rows)
         smoother_errors.add(block.smoothed, rows)
         watch(block)
@@ -123,24 +124,12 @@ def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[
     yield from smooth(log, p)
 
 
-class _TruthReader:
-    """Series of truth and reference, returned piece by piece."""
-
-    def __init__(self, series: dict[str, Series], reference: str | None) -> None:
-        self._series = [series.get(topic or "") for topic in (TRUE_SLIP, TRUE_ODOMETRY, reference)]
-        self._begin = [0, 0, 0]
-
-    def read_until(self, stamp_ns: int) -> list[Rows | None]:
-        """Rows of true slips, true odometry and reference, from the end of the previous piece to a stamp."""
-        pieces: list[Rows | None] = []
-        for k, series in enumerate(self._series):
-            if series is None:
-                pieces.append(None)
-                continue
-            end = int(np.searchsorted(series.stamps_ns, stamp_ns, side="right"))
-            pieces.append(series.rows[self._begin[k] : end])
-            self._begin[k] = end
-        return pieces
+def _rows_between(series: Series | None, after_ns: int, until_ns: int) -> Rows | None:
+    """Rows after one stamp up to another; None without a series."""
+    if series is None:
+        return None
+    begin, end = np.searchsorted(series.stamps_ns, (after_ns, until_ns), side="right")
+    return series.rows[begin:end]
 
 
 class _EstimateErrors:
