@@ -35,7 +35,7 @@ class Line(NamedTuple):
 
 
 PANELS: tuple[Quantity | FieldPanel, ...] = (*QUANTITIES, *FIELD_PANELS)  # panels in their order
-LINES = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)] + [
+LINES = [Line(k, quantity, quantity.scale, MOTION) for k, quantity in enumerate(QUANTITIES)] + [
     Line(k, curve, panel.scale, panel.topic)
     for k, panel in enumerate(FIELD_PANELS, len(QUANTITIES))
     for curve in panel.fields
@@ -92,11 +92,7 @@ class Strips:
 
 
 def _line_point(line: Line, columns: Columns) -> tuple[float, float, float]:
-    values, band = (
-        line.quantity.values_with_band(columns)
-        if isinstance(line.quantity, Quantity)
-        else line.quantity.values_with_band(columns, line.scale)
-    )
+    values, band = line.quantity.values_with_band(columns, line.scale)
     lower, upper = band if band is not None else (math.nan, math.nan)
     return _round_digits(values), _round_digits(lower), _round_digits(upper)
 

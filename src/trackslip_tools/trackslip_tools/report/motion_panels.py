@@ -117,7 +117,7 @@ def _true_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
 def _estimated_curves(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
     for run, drawn in _drawn_states(runs):
         states = drawn.states
-        values, (lower, upper) = quantity.values_with_band(states.rows)
+        values, (lower, upper) = quantity.values_with_band(states.rows, quantity.scale)
         if quantity.estimate == "slips":
             values, lower, upper = (
                 np.where(states.is_moving, column, np.nan) for column in (values, lower, upper)

@@ -36,11 +36,11 @@ class Quantity(NamedTuple):
     true_column: str
     scale: float = 1.0
 
-    def values_with_band(self, columns: Columns | Rows) -> tuple[FloatArray, Band]:
+    def values_with_band(self, columns: Columns | Rows, scale: float) -> tuple[FloatArray, Band]:
         """Values (…) and ±2σ."""
-        values = self.scale * np.asarray(columns[self.estimate])[..., self.column]
+        values = scale * np.asarray(columns[self.estimate])[..., self.column]
         variances = np.asarray(columns[self.covariance])[..., self.column, self.column]
-        return values, sigma_band(values, self.scale * np.sqrt(variances))
+        return values, sigma_band(values, scale * np.sqrt(variances))
 
 
 _SLIPS, _TWIST = ("slips", "slip_covariance"), ("twist", "twist_covariance")
