@@ -106,7 +106,8 @@ def test_a_soil_is_named_when_it_is_likely_and_when_another_is() -> None:
     for sand in (0.4, 0.7, 0.8, 0.5, 0.1):
         events.add_soil_change({"sand": sand, "clay": 0.9 - sand}, 0.0, 0.0, is_identifiable=True)
     assert reported(events) == ["soil found: sand, 70 %", "soil changed to clay, 80 %"]
-    for classes in ({}, {NONE: 0.9, "sand": 0.1}):
+    unnamed: list[dict[str, float]] = [{}, {NONE: 0.9, "sand": 0.1}]
+    for classes in unnamed:
         events.add_soil_change(classes, 0.0, 0.0, is_identifiable=True)
     assert len(events.recent) == 2
 

@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
-    short = short_names(args.bags) if len(set(args.bags)) > 1 else map(str, args.bags)
+    short = short_names(args.bags) if len(set(args.bags)) > 1 else [str(path) for path in args.bags]
     names = dict(zip(args.bags, short, strict=True))
     recordings: dict[Path, Recording] = {}
     runs = []
