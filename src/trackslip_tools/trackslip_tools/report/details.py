@@ -99,7 +99,8 @@ class Details:
     @property
     def accepted_fixes(self) -> Rows:
         """(n,) FIX of those that were used."""
-        return self.fixes[self.fixes["outcome"] == Outcome.ACCEPTED]
+        accepted: Rows = self.fixes[self.fixes["outcome"] == Outcome.ACCEPTED]
+        return accepted
 
 
 def _fill_expected_poses(fixes: Rows, estimates: Rows, published: IntArray) -> None:
