@@ -55,8 +55,8 @@ def entry_of(path: Path, replay_bag: Callable[[], tuple[Replay, str]], *, force:
     del content[_TIMING]
     code = ExitCode.FAILED if result.has_failed(force=force) else ExitCode.DONE
     setup_error = "" if result.setup.is_plausible else f"setup: {result.setup.headline}"
-    error = result.no_estimate or setup_error
-    return Entry(str(path), code, error, tuple(lines), result.travel.distance, content, page)
+    failure = result.no_estimate or setup_error
+    return Entry(str(path), code, failure, tuple(lines), result.travel.distance, content, page)
 
 
 def exit_code(entries: Iterable[Entry]) -> int:
