@@ -164,7 +164,7 @@ sensors: {antenna: {x: -1.2, y: 0.6, z: 3.0}}
             "1.9, tread: 0.35",
             "radius over contact length of 0.549; accepted: 0.01 to 0.5",
         ),
-        ("2.38", "0.5", "contact length over tread of 6.92; accepted: 0.3 to 5"),
+        ("2.38", "0.3", "contact length over tread of 11.5; accepted: 0.1 to 10"),
         ("track_width: 0.6", "track_width: 60.0", "track_width: 60.0 is out of range; accepted: >"),
         ("13500.0", "13.5", "upper_structure.mass and mass.mass (kg)"),
         ("13500.0", "22000.0", "share of the mass that swings of 1.05; accepted: 0.01 to 1"),

@@ -52,7 +52,7 @@ def _derived_quantities(vehicle: VehicleParameters) -> Iterator[_DerivedQuantity
     # two wheels of a side fit between the ends of the contact length
     radius = k.rolling_radius / k.contact_length
     yield _DerivedQuantity("rolling radius over contact length", radius, "", 0.01, 0.5, inputs)
-    yield _DerivedQuantity("contact length over tread", k.contact_length / k.tread, "", 0.3, 5.0, inputs)
+    yield _DerivedQuantity("contact length over tread", k.contact_length / k.tread, "", 0.1, 10.0, inputs)
     if m is not None:
         pressure = m.weight / (2.0 * m.track_width * k.contact_length)
         inputs = "mass.mass (kg), mass.track_width and kinematics.contact_length (m)"
