@@ -276,7 +276,7 @@ def squared_travel_ratio(x: FloatArray, P: FloatArray) -> float:
 
     A machine that is faster than its tracks has lost counts, which adds no error.
     """
-    return min((1.0 - x[COMMON_SLIP]) ** 2 + P[COMMON_SLIP, COMMON_SLIP], 1.0)
+    return float(min((1.0 - x[COMMON_SLIP]) ** 2 + P[COMMON_SLIP, COMMON_SLIP], 1.0))
 
 
 @compiled
