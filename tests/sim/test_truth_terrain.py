@@ -16,7 +16,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.terramechanics.traction import element_positions
+from trackslip_estimation.terramechanics.elements import element_positions
 from trackslip_sim.machine.placement import Placement
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain

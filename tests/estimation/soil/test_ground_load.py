@@ -29,7 +29,7 @@ from trackslip_estimation.soil.shear_field import (
     fill_mobilised_shares,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
-from trackslip_estimation.terramechanics.traction import element_positions
+from trackslip_estimation.terramechanics.elements import element_positions
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.mass_properties import MassProperties
 from trackslip_sim.truth.settings import load_settings

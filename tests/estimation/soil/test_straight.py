@@ -16,7 +16,8 @@ from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.shear_field import Contact, Rolling
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
-from trackslip_estimation.terramechanics.traction import element_positions, thrust
+from trackslip_estimation.terramechanics.elements import element_positions
+from trackslip_estimation.terramechanics.traction import thrust
 
 P = load_soil_parameters()
 VEHICLE, LENGTH = P.vehicle.whole(), P.vehicle.whole().contact_length

@@ -22,7 +22,8 @@ from trackslip_estimation.soil.shear_field import (
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_posterior import StrengthPosterior
 from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances, thrust_curves
-from trackslip_estimation.terramechanics.traction import element_positions, thrust
+from trackslip_estimation.terramechanics.elements import element_positions
+from trackslip_estimation.terramechanics.traction import thrust
 
 P = load_soil_parameters()
 VEHICLE, STRENGTH = P.vehicle.whole(), P.strength

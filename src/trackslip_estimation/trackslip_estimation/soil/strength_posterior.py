@@ -34,7 +34,7 @@ from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.strength_summary import StrengthSummary, summarise_cells
 from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances, thrust_curves
-from trackslip_estimation.terramechanics.traction import element_positions
+from trackslip_estimation.terramechanics.elements import element_positions
 
 _LEAST_PROBABILITY = 1e-300  # least probability as a divisor
 

@@ -177,8 +177,3 @@ def _divide(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
     """Return a ratio; an overflow to infinity is intended, as it gives the limit of the formula."""
     with np.errstate(over="ignore"):
         return numerator / denominator
-
-
-def element_positions(length: float, elements: int) -> FloatArray:
-    """Return x_e of the centres of the elements of a contact (n,), foremost first, m."""
-    return length * (0.5 - (np.arange(elements) + 0.5) / elements)

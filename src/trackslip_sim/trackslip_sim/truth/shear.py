@@ -17,8 +17,8 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.terramechanics.elements import element_positions
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
-from trackslip_estimation.terramechanics.traction import element_positions
 from trackslip_sim.truth.contact import (
     Shear,
     Tracks,
