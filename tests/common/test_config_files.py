@@ -119,6 +119,13 @@ def test_section_of_a_node_in_a_namespace_is_refused_beside_a_common_one(tree: d
         node_parameters(shared | tree, "node", "file")
 
 
+@pytest.mark.parametrize("name", [5, None, "5"])
+def test_section_of_another_node_is_passed_over_whatever_its_name(name: Any) -> None:
+    assert node_parameters({"node": {"ros__parameters": {"a": 1}}, name: {"b": 1}}, "node", "file") == {
+        "a": 1
+    }
+
+
 def test_parameters_that_ros_itself_declares_are_passed_over() -> None:
     names = ("use_sim_time", "start_type_description_service", "qos_overrides")
     tree = {

@@ -69,9 +69,10 @@ def node_parameters(tree: Mapping[str, Any], node: str, where: str) -> dict[str,
         if not isinstance(body, Mapping) or not isinstance(body.get("ros__parameters"), Mapping):
             raise InputError(f"{where}: section '{section}' has no 'ros__parameters' mapping")
         values |= flatten(body["ros__parameters"])
-    for section in (str(name) for name, body in tree.items() if name not in sections):
-        if section.endswith(f"/{node}") or (isinstance(tree[section], Mapping) and node in tree[section]):
-            raise InputError(f"{where}: section '{section}' is of a namespace; accepted: {node}, or /**")
+    for name, body in tree.items():
+        is_nested = isinstance(body, Mapping) and node in body
+        if name not in sections and (is_nested or str(name).endswith(f"/{node}")):
+            raise InputError(f"{where}: section '{name}' is of a namespace; accepted: {node}, or /**")
     return {name: value for name, value in values.items() if not name.startswith(ROS_PARAMETERS)}
 
 

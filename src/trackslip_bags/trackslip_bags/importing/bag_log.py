@@ -160,11 +160,9 @@ class _Collector:
 
     def _accepted_children(self) -> str:
         """What is accepted as ``child_frame``; empty without transforms."""
-        return (
-            f"; accepted: child_frame, one of {joined_names(sorted(self._children))}"
-            if self._children
-            else ""
-        )
+        if not self._children:
+            return ""
+        return f"; accepted: child_frame, one of {joined_names(sorted(self._children))}"
 
     def _no_sample_text(self) -> str:
         """The reason why there is no sample."""

@@ -14,7 +14,7 @@ i_L, i_R   resulting slips, 1 − (v ∓ ω B/2)/(r ω_j)                   1
 V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
 d          largest departure of a track speed from its recent mean    m/s
 s          track error (``adaptation``), as a share of a track's speed 1
-U          (1 − i₀)² (2V² + D²/2 + w d²): both track speeds squared, and w d²  (m/s)²
+U          q (2V² + D²/2 + w d²), q = (1 − i₀)², at most 1: squared speeds over the ground  (m/s)²
 τ, σ       correlation time of the velocity errors, their size        s, m/s
 ρ          e^(−dt/τ)                                                  1
 
