@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
@@ -119,7 +120,7 @@ def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) 
     state.fault[:], state.outlier_share[:], state.last_value[:] = (
         IS_HEALTHY,
         c.bank.initial_outlier_share,
-        0.0,
+        math.nan,
     )
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_value[measurement.source] = measurement.value[:2]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import add_child, add_child_since_snapshot, distance_since_snapshot
 from trackslip_estimation.slip.bank.pool import update_of
+from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of
 from trackslip_estimation.slip.events import (
     BIASED,
     FAILED,
@@ -31,7 +32,7 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing
-from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
+from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS, VELOCITY
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_MISCOUNTING,
@@ -70,8 +71,7 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
     if is_place and has_moved and are_track_speeds_measured(before) and can_be_repetition(update, c):
         add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
-    if is_place and update.coarse == 0 and not has_position_dependent_errors(source, c):
-        add_child_since_snapshot(window, p, k, WANDERS, source, 0, 0.0, c)
+    _make_wander_children(window, p, k, c)
     _make_source_fault_children(window, p, k, penalty, c)
     if has_velocity_errors(c):
         make_failure_children(window, p, k, penalty, c)
@@ -109,6 +109,21 @@ def _is_probably_outlier(window: Window, p: int, k: int, c: Config) -> bool:
     is_calm = window.branches[p, k].cusum.max() <= c.bank.cusum_limit
     share = window.states[p, k - 1].outlier_share[window.measurements[k].source]
     return bool(is_first and is_calm and share > c.bank.often_outliers)
+
+
+@compiled
+def _make_wander_children(window: Window, p: int, k: int, c: Config) -> None:
+    """Add children in which precise fixes drift: those of this source, or any ones beside a velocity."""
+    m, before, now = window.measurements[k], window.states[p, k - 1], window.states[p, k]
+    is_velocity = m.kind == VELOCITY and has_recent_fix(before, m, c)
+    for source in range(MOST_SOURCES):
+        number = pose_source_number(source, c)
+        if number < 0 or not (is_velocity or source == m.source):
+            continue
+        stddev, is_sound = now.offsets[number].stddev, is_trusted(before.fault[source], POSE)
+        is_precise = stddev > 0.0 and quality_of(stddev, c) == PRECISE
+        if is_precise and is_sound and not has_position_dependent_errors(source, c):
+            add_child_since_snapshot(window, p, k, WANDERS, source, 0, 0.0, c)
 
 
 @compiled

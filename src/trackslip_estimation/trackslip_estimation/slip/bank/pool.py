@@ -39,19 +39,20 @@ def copy_row_to_pool(window: Window, k: int) -> int:
 
 @compiled
 def fill_row_from_pool(window: Window, k: int, count: int, c: Config) -> None:
-    """Fill row k with the most probable branches of the pool, in order; the first one has weight 0."""
-    best, kept, healthy = (
-        window.pool_branches[_most_probable_branch(window, count)].weight,
-        0,
-        _most_probable_healthy_branch(window, count),
-    )
+    """Fill row k with the most probable branches of the pool, in order; the first one has weight 0.
+
+    The most probable branch without a fault stays, with a weight of at least −``least_healthy``.
+    """
+    best = window.pool_branches[_most_probable_branch(window, count)].weight
+    healthy = _most_probable_healthy_branch(window, count, c)
+    if healthy >= 0:
+        least = best - c.bank.least_healthy
+        window.pool_branches[healthy].weight = max(window.pool_branches[healthy].weight, least)
+    kept = 0
     while kept < MOST_BRANCHES:
         h = _most_probable_branch(window, count)
-        if kept == MOST_BRANCHES - 1 and healthy >= 0:
+        if kept == MOST_BRANCHES - 1 and healthy >= 0 and window.pool_branches[healthy].weight > -math.inf:
             h = healthy
-        if h == healthy:
-            window.pool_branches[h].weight = max(window.pool_branches[h].weight, best - c.bank.least_healthy)
-            healthy = -1
         weight = window.pool_branches[h].weight
         if weight < best - c.bank.pruned or weight == -math.inf:
             break
@@ -67,34 +68,31 @@ def fill_row_from_pool(window: Window, k: int, count: int, c: Config) -> None:
         window.pool_branches[h].weight = -math.inf
         kept += 1
     window.counts[k] = kept
-    if healthy >= 0:  # kept although improbable
-        _append_healthy_branch(window, k, healthy, best, c)
 
 
 @compiled
-def _append_healthy_branch(window: Window, k: int, h: int, best: float, c: Config) -> None:
-    """Append branch h of the pool, in which no source is at fault, to row k whatever its weight."""
-    s = min(window.counts[k], MOST_BRANCHES - 1)
-    branch = window.branches[s, k]
-    window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
-    window.branch_updates[s] = window.pool_updates[h]
-    least = -c.bank.least_healthy
-    branch.weight = least
-    for snapshot in branch.snapshots:
-        snapshot.weight = max(snapshot.weight - best, least)
-    window.counts[k] = s + 1
+def _most_probable_healthy_branch(window: Window, count: int, c: Config) -> int:
+    """Number of the most probable branch of the pool in which no source is at fault; −1: none.
 
-
-@compiled
-def _most_probable_healthy_branch(window: Window, count: int) -> int:
-    """Number of the most probable branch of the pool in which no source is at fault; −1: none."""
+    A source that contradicts a branch for longer than a fault lasts is at fault, assumed or not.
+    """
     heaviest = -1
     for h in range(count):
         weight = window.pool_branches[h].weight
         heavier = heaviest < 0 or weight > window.pool_branches[heaviest].weight
-        if weight > -math.inf and heavier and has_no_fault(window.pool_states[h]):
+        state = window.pool_states[h]
+        if weight > -math.inf and heavier and has_no_fault(state) and _agreed_lately(state, c):
             heaviest = h
     return heaviest
+
+
+@compiled
+def _agreed_lately(state: State, c: Config) -> bool:
+    """Whether each source agreed with a state within ``fault_time`` before its latest measurement."""
+    for source in range(MOST_SOURCES):
+        if state.last_ns[source] - state.consistent_ns[source] > c.events.fault_time * 1e9:
+            return False
+    return True
 
 
 @compiled
