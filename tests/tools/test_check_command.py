@@ -89,6 +89,27 @@ def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: st
     assert any("no time in common" in cause["evidence"] for cause in result["causes"])
 
 
+@pytest.mark.parametrize(
+    ("file", "source"), [("tracks", "sprockets"), ("imu", "imu/data_raw"), ("gnss", "gnss_pose")]
+)
+@pytest.mark.parametrize("ahead", [18.0, -18.0])
+def test_a_source_on_another_clock_is_named_by_its_arrivals(
+    file: str, source: str, ahead: float, tmp_path: Path
+) -> None:
+    folder = write_csv(tmp_path, make_drive())
+    for path in folder.glob("*.csv"):
+        names, columns = path.read_text().partition("\n")[0], np.loadtxt(path, delimiter=",", skiprows=1)
+        received = columns[:, 0] + 100.0
+        columns[:, 0] = received + (ahead if path.stem == file else 0.0)
+        _table(path, f"{names},received", columns, received)
+    time = "time: {column: t, unit: s}"
+    mapping = MAPPING.replace(time, f"{time}\nreceived: {{column: received, unit: s}}")
+    (folder / "mapping.yaml").write_text(mapping)
+    (cause,) = json_of(tmp_path, "check", import_drive(folder), code=ExitCode.FAILED)["causes"]
+    assert (cause["cause"], cause["source"]) == ("source_delay", source)
+    assert f"time_offset: {-ahead:.1f} (GPS time" in cause["remedy"]
+
+
 def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
     result = json_of(tmp_path, "check", healthy)
     assert result["plausible"] is True

@@ -247,7 +247,8 @@ def _judge_delays(
     findings.measured += [
         _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
     ]
-    causes, questions = ([], []) if findings.has_cause("time_unit") else clocks.judge_delays(delays)
+    is_known = findings.has_cause("time_unit") or findings.has_cause("source_delay")
+    causes, questions = ([], []) if is_known else clocks.judge_delays(delays)
     delay = clocks.most_precise_delay(causes[0].source, delays) if causes else None
     if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:
         advantage = delay.gain - (0.0 if lever is None else lever.log_ratio)

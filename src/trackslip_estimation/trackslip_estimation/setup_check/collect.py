@@ -36,9 +36,13 @@ class Collector:
     parameters: SlipEstimatorParameters
     parts: dict[Key, list[tuple[NDArray[np.int64], FloatArray]]] = field(default_factory=dict)
     counts: dict[Key, int] = field(default_factory=dict)
+    arrival_delays: dict[str, list[NDArray[np.int64]]] = field(default_factory=dict)  # ns, by topic
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Append (n,) ``records.MEASUREMENT`` of the compared kinds; ``sources``: names by their numbers."""
+        """Append (n,) ``records.MEASUREMENT`` of the compared kinds, with the ``log_time_ns`` of their arrival.
+
+        ``sources``: names by their numbers.
+        """
         for kind in _KINDS:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
@@ -47,6 +51,8 @@ class Collector:
                     self.counts[key] = self.counts.get(key, 0) + len(source_rows)
                     part = source_rows["stamp_ns"].astype(np.int64), _column_values(kind, source_rows)
                     self.parts.setdefault(key, []).append(part)
+                    delays = source_rows["log_time_ns"] - source_rows["stamp_ns"]
+                    self.arrival_delays.setdefault(sources[number], []).append(delays)
 
     def log(self) -> Log | None:
         """The log of all columns, on one clock; None without sprockets."""
@@ -54,7 +60,9 @@ class Collector:
         for key, parts in self.parts.items():
             stamps, values = zip(*parts, strict=True)
             columns[key] = np.concatenate(stamps), np.concatenate(values)
-        return log_of_columns(columns, self.parameters)
+        log = log_of_columns(columns, self.parameters)
+        delays = {name: float(np.median(np.concatenate(d))) * 1e-9 for name, d in self.arrival_delays.items()}
+        return None if log is None else replace(log, arrival_delays=delays)
 
 
 def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
