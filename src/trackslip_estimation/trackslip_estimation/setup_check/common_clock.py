@@ -86,7 +86,8 @@ def _judge_arrivals(log: Log) -> tuple[Log, list[Cause]]:
 
 
 def _arrival_cause(name: str, delay: float, usual: float) -> Cause:
-    evidence = f"{name} arrives {delay:.1f} s after its stamps, other sources {usual:.1f} s after theirs"
+    own, other = (f"{abs(d):.1f} s {'after' if d >= 0.0 else 'before'}" for d in (delay, usual))
+    evidence = f"{name} arrives {own} its stamps, other sources {other} theirs"
     return Cause("source_delay", name, evidence, odds_of(12.0), _clock_remedy(name, usual - delay))
 
 
