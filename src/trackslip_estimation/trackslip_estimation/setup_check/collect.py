@@ -39,7 +39,7 @@ class Collector:
     arrival_delays: dict[str, list[NDArray[np.int64]]] = field(default_factory=dict)  # ns, by topic
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Append (n,) ``records.MEASUREMENT`` of the compared kinds, with the ``log_time_ns`` of their arrival.
+        """Append (n,) ``records.MEASUREMENT`` of the compared kinds, with ``log_time_ns``, their arrival.
 
         ``sources``: names by their numbers.
         """
@@ -74,10 +74,10 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
     per_stamp: dict[str, float] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
-        t, readings, invalid = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
+        t, readings, count = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
         if len(t):
             ready[key] = t, readings
-            per_stamp[key[1]] = (len(stamps) - invalid) / len(t)
+            per_stamp[key[1]] = count / len(t)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
     return replace(_make_log(ready, p), per_stamp=per_stamp)
@@ -114,16 +114,20 @@ _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEA
 def _valid_readings(
     stamps: NDArray[np.int64], values: FloatArray, start_ns: int, kind: int
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Times (n,), s, ascending, and the first valid values at each; the number of invalid readings.
+    """Times (n,), s, ascending, and the first valid values at each; the number of readings, copies apart.
 
-    A reading is invalid if a needed value is no number, or if its stamp is on another clock than most.
+    A reading is valid if its needed values are numbers, and its stamp is on the clock of most.
     """
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         is_valid = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
     is_valid &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
-    t, first = np.unique((stamps[is_valid] - start_ns) * 1e-9, return_index=True)
-    return t, values[is_valid][first], int((~is_valid).sum())
+    stamps, values = stamps[is_valid], values[is_valid]
+    t, first = np.unique((stamps - start_ns) * 1e-9, return_index=True)
+    order = np.argsort(stamps, kind="stable")
+    same = np.diff(values[order], axis=0) == 0.0
+    is_copy = (np.diff(stamps[order]) == 0) & (same | np.isnan(values[order][1:])).all(axis=1)
+    return t, values[first], len(stamps) - int(is_copy.sum())
 
 
 def _make_log(
