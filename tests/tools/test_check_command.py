@@ -4,6 +4,7 @@
 
 import json
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ import pytest
 from fixtures.commands import json_of
 from fixtures.setup_drives import make_drive
 
+from trackslip_bags.messages import serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.setup_check.log import Log
 from trackslip_tools.cli import shared_options
@@ -114,6 +118,28 @@ def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
     result = json_of(tmp_path, "check", healthy)
     assert result["plausible"] is True
     assert result["causes"] == []
+
+
+UNUSABLE: dict[str, Callable[[Any], None]] = {
+    "/gnss_pose": lambda m: setattr(m.pose, "covariance", np.zeros(36)),
+    "/imu/data_raw": lambda m: setattr(m, "angular_velocity_covariance", np.full(9, -1.0)),
+    "/sprockets": lambda m: setattr(m, "name", ["left_wheel", "right_wheel"]),
+}
+
+
+@pytest.mark.parametrize("topic", UNUSABLE)
+def test_a_source_without_a_valid_reading_is_not_plausible(topic: str, healthy: Path, tmp_path: Path) -> None:
+    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+        for m in bag.messages():
+            content = bag.deserialize(m.raw, m.type_name)
+            if m.topic == topic:
+                UNUSABLE[topic](content)
+            writer.write(m.topic, m.type_name, serialize(content), m.log_time_ns)
+    result = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)
+    found = [cause["source"] for cause in result["causes"] if cause["cause"] == "invalid_readings"]
+    found += [one["what"] for one in result["undetermined"] if "no valid speed" in one["what"]]
+    assert len(found) == 1
+    assert topic.strip("/") in found[0]
 
 
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:

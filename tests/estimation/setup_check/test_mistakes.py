@@ -594,7 +594,8 @@ def log_of_cut_stamps(step: float, *, has_copies: bool = False) -> Log:
 
 
 @pytest.mark.parametrize(
-    ("step", "expected"), [(1e-9, []), (1.0, ["whole seconds"]), (60.0, ["whole minutes"])]
+    ("step", "expected"),
+    [(1e-9, []), (1.0, ["whole seconds"]), (60.0, ["whole minutes"]), (1e4, ["have one stamp"])],
 )
 def test_stamps_that_are_cut_to_whole_seconds_are_named(step: float, expected: list[str]) -> None:
     causes = check(log_of_cut_stamps(step)).causes

@@ -76,14 +76,15 @@ def check(log: Log) -> Result:
 
 
 def _run_steps(log: Log, findings: _Findings) -> list[str]:
+    findings.add([_unusable_cause(name, count) for name, count in log.unusable.items()])
     log, missing = remove_missing(log)
     findings.add([_missing_cause(value) for value in missing])
     log, causes = clocks.correct_time_units(log)
+    causes += clocks.judge_fractions(log)
     findings.add(causes)
     if not causes:  # else the log may lack the sources in another unit
         log, causes = with_common_clock(log)
         findings.add(causes)
-    findings.add(clocks.judge_fractions(log))
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
     fixes, causes = places.drop_held(log.fixes)
     findings.add(causes)
@@ -133,6 +134,12 @@ def _correct_quantities(log: Log, findings: _Findings) -> tuple[Log, Drive]:
     causes, questions = unmoved.judge_fixes(drive)
     findings.add(causes, questions)
     return log, Drive.from_sources(log, None, None if causes else drive.fixes, drive.compass)
+
+
+def _unusable_cause(name: str, count: int) -> Cause:
+    evidence = f"none of {count} readings of {name} is valid: values not finite, or variances not above 0"
+    remedy = "Let its driver state values and covariance; of a log, trackslip import takes stddev: {x: …}"
+    return Cause("invalid_readings", name, evidence, odds_of(12.0), remedy)
 
 
 def _missing_cause(missing: MissingValue) -> Cause:

@@ -124,6 +124,8 @@ def judge_fractions(log: Log) -> list[Cause]:
             continue
         unit = "minutes" if (np.round(steps) % 60 == 0).all() else "seconds"
         evidence = f"stamps of {name} are whole {unit}, of {per_stamp:.0f} readings each: the rest is cut off"
+        if not len(steps):
+            evidence = f"all {per_stamp:.0f} readings of {name} have one stamp"
         remedy = (
             "Record the fractions too (mapping: time: {column: [secs, nsecs], unit: [s, ns]}), or stamp "
             "readings on arrival (stamp: log, or received)"

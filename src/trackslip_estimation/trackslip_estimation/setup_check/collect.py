@@ -72,15 +72,18 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
         return None
     start = int(tracks.min())
     per_stamp: dict[str, float] = {}
+    unusable: dict[str, int] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
         t, readings, count = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
         if len(t):
             ready[key] = t, readings
             per_stamp[key[1]] = count / len(t)
+        else:
+            unusable[key[1]] = len(stamps)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
-    return replace(_make_log(ready, p), per_stamp=per_stamp)
+    return replace(_make_log(ready, p), per_stamp=per_stamp, unusable=unusable)
 
 
 def _column_values(kind: int, rows: Rows) -> FloatArray:
@@ -116,11 +119,14 @@ def _valid_readings(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Times (n,), s, ascending, and the first valid values at each; the number of readings, copies apart.
 
-    A reading is valid if its needed values are numbers, and its stamp is on the clock of most.
+    A reading is valid if its needed values are numbers, the variances of a place are above 0, and its stamp
+    is on the clock of most.
     """
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         is_valid = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
+        if kind == POSE:
+            is_valid &= (values[:, 3:5] > 0.0).all(axis=1)
     is_valid &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
     stamps, values = stamps[is_valid], values[is_valid]
     t, first = np.unique((stamps - start_ns) * 1e-9, return_index=True)
