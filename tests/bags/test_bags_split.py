@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
 
 
 def write_imu(path: Path, count: int, size: float = math.inf, duration: float = math.inf) -> Path:
@@ -80,6 +81,27 @@ def test_a_clock_set_back_does_not_split_at_every_message(tmp_path: Path) -> Non
         for at_s in (1000, 1001, 2, 3, 4, 5):
             bag.write("/once", TEXT, text(str(at_s)), at_s * 1000 * MS)
     assert len(list(tmp_path.glob("bag/*.mcap"))) == 2
+
+
+@pytest.mark.parametrize("missing", [(0,), (2,), (1, 3)])
+def test_missing_files_of_a_split_bag_are_named_beside_damaged_ones(
+    tmp_path: Path, missing: tuple[int, ...]
+) -> None:
+    path = write_imu(tmp_path / "run", 450, duration=1.0)
+    for k in missing:
+        (path / f"run_{k}.mcap").unlink()
+    last = path / "run_4.mcap"
+    last.write_bytes(last.read_bytes()[:-8])
+    with open_bag(path) as bag:
+        assert bag.damage.startswith(", ".join(f"run_{k}.mcap" for k in missing) + " missing")
+        assert bag.damage.endswith("; run_4.mcap: cut short")
+
+
+def test_a_bag_without_its_only_file_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = write_imu(tmp_path / "run", 10)
+    (path / "run_0.mcap").unlink()
+    with pytest.raises(InputError, match=r"cannot be read \(run_0\.mcap missing, which metadata\.yaml lists"):
+        open_bag(path)
 
 
 @pytest.mark.parametrize("flushed", [True, False])

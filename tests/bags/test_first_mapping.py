@@ -74,8 +74,12 @@ def test_columns_are_found_by_their_names(
         ("gps_tow", "390600.00", "390600.02", "s"),
         ("time [hh:mm:ss]", "23:59:59.98", "00:00:00.00", "hh:mm:ss"),
         ("Uhrzeit", "23:59:59.98", "00:00:00.00", "hh:mm:ss"),
-        ("Timestamp", "11/20/2026 2:30:00 PM", "11/20/2026 2:30:00 PM", "iso8601"),
+        ("Timestamp", "11/20/2026 2:30:00 PM", "11/20/2026 2:30:00 PM", "mm/dd/yyyy"),
+        ("Timestamp", "04/07/2026 14:30:00", "31/07/2026 14:30:00", "dd/mm/yyyy"),
+        ("Timestamp", "04/07/2026 14:30:00", "04/07/2026 14:30:01", "iso8601"),
+        ("utc", "\n".join(f"0959{s}.5,0,0" for s in range(50, 60)), "100000.5", "hh:mm:ss"),
         ("time_ms", "100", "100.02", "ms"),
+        ("Time", "46346.604166667", "46346.604166898", "d"),
     ],
 )
 def test_the_unit_of_times_is_that_of_their_values(
@@ -83,6 +87,7 @@ def test_the_unit_of_times_is_that_of_their_values(
 ) -> None:
     mapping = mapping_of(tmp_path, f"{time},v_left_mps,v_right_mps", f"{first},0.5,0.5\n{second},0.5,0.5")
     assert mapping.columns["time"] == f"{time}, {unit}"
+    assert ("start: -2209161600" in mapping.text) is (unit == "d")
 
 
 @pytest.mark.parametrize(
@@ -91,6 +96,8 @@ def test_the_unit_of_times_is_that_of_their_values(
         ("header.stamp.sec,header.stamp.nanosec", "1763645400,20000000", ["s", "ns"]),
         ("secs,nsecs", "1763645400,20000000", ["s", "ns"]),
         ("Date,Time", "2026-11-20,14:30:00", "iso8601"),
+        ("Date,Time", "11/20/2026,2:30:00 PM", "mm/dd/yyyy"),
+        ("Date,Time", "07/04/2026,14:30:00", "iso8601"),
     ],
 )
 def test_times_in_two_columns_are_added(names: str, row: str, unit: object, tmp_path: Path) -> None:
@@ -169,6 +176,28 @@ def test_degrees_and_minutes_are_those_of_both_coordinates(tmp_path: Path) -> No
     """A longitude below 1° 80′ could be one in degrees."""
     columns = mapping_of(tmp_path, "t,v_left,v_right,lat,lon", "0,1,1,5128.5,12.25").columns
     assert columns["longitude"] == "lon, ddmm.mmmm"
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "lat", "lon"),
+    [
+        ("lat,N/S,lon,E/W", "5128.5,N,3712.25,W", 1.0, -1.0),
+        ("lat,lat_dir,lon,lon_dir", "33.8,S,151.2,E", -1.0, 1.0),
+        ("lat,lon,lat_dir,lon_dir", "-33.8,151.2,S,E", 1.0, 1.0),
+    ],
+)
+def test_coordinates_south_and_west_of_a_column_of_letters_are_negative(
+    names: str, row: str, lat: float, lon: float, tmp_path: Path
+) -> None:
+    first = mapping_of(tmp_path, f"t,v_left,v_right,{names}", f"0,1,1,{row}")
+    pose = yaml.safe_load(first.text)["topics"]["gnss_pose"]
+    assert [pose[name].get("scale", 1.0) for name in ("latitude", "longitude")] == [lat, lon]
+
+
+def test_units_of_a_line_below_the_names_are_those_of_the_columns(tmp_path: Path) -> None:
+    units = "(ms),[km/h],km/h,deg/s"
+    columns = mapping_of(tmp_path, "t,v_left,v_right,yaw_rate", f"{units}\n0,1,1,1\n20,1,1,1").columns
+    assert [text.partition(", ")[2] for text in columns.values()] == ["ms", "km/h", "km/h", "deg/s"]
 
 
 def test_decimal_commas_are_stated(tmp_path: Path) -> None:

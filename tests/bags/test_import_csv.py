@@ -243,6 +243,20 @@ def test_dates_are_exact(cell: str) -> None:
     assert time_ns([cell], TimeColumn(("t",), ("iso8601",))) == TIMES[cell]
 
 
+@pytest.mark.parametrize(
+    ("cell", "unit"),
+    [
+        ("11/20/2026 2:30:00.25 PM", "mm/dd/yyyy"),
+        ("11/20/2026 14:30:00.25", "mm/dd/yyyy"),
+        ("20/11/2026 14:30:00.25", "dd/mm/yyyy"),
+    ],
+)
+def test_dates_with_slashes_need_a_unit_that_states_their_order(cell: str, unit: str) -> None:
+    assert time_ns([cell], TimeColumn(("t",), (unit,))) == TIMES["2026-11-20 14:30:00.25"]
+    with pytest.raises(ValueError, match=cell):
+        time_ns([cell], TimeColumn(("t",), ("iso8601",)))
+
+
 def test_a_date_without_a_zone_has_that_of_the_mapping(tmp_path: Path) -> None:
     time = {"column": "t", "unit": "iso8601", "zone": "-02:30"}
     topic = {"time": time, **WHEELS}
@@ -503,6 +517,18 @@ def test_times_of_day_go_on_after_midnight(tmp_path: Path) -> None:
     _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time)
     stamps = [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]]
     assert stamps == pytest.approx([86399.9, 86400.15, 86401.0])
+
+
+def test_times_of_day_without_colons_are_no_seconds(tmp_path: Path) -> None:
+    rows = [f"{k // 60}{k % 60:02d}{s:02d}.5,1,1" for k in (1439, 0, 598, 599, 600) for s in range(60)]
+    log = "\n".join(("t,l,r", *rows))
+    with pytest.raises(InputError, match=r"column .t. has no second 60 to 99.*; accepted: unit: hh:mm:ss"):
+        imported(tmp_path, log, {"sprockets": WHEELS})
+    time = {"column": "t", "unit": "hh:mm:ss"}
+    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time)
+    stamps = [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]]
+    assert stamps[60] - stamps[59] == 1.0
+    assert stamps[-1] - stamps[0] == pytest.approx(10 * 3600 + 119.0)
 
 
 def test_a_time_of_day_that_goes_back_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@
 
 import json
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ import pytest
 from fixtures.commands import json_of
 from fixtures.setup_drives import make_drive
 
+from trackslip_bags.messages import serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.setup_check.log import Log
 from trackslip_tools.cli import shared_options
@@ -89,10 +93,53 @@ def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: st
     assert any("no time in common" in cause["evidence"] for cause in result["causes"])
 
 
+@pytest.mark.parametrize(
+    ("file", "source"), [("tracks", "sprockets"), ("imu", "imu/data_raw"), ("gnss", "gnss_pose")]
+)
+@pytest.mark.parametrize("ahead", [18.0, -18.0])
+def test_a_source_on_another_clock_is_named_by_its_arrivals(
+    file: str, source: str, ahead: float, tmp_path: Path
+) -> None:
+    folder = write_csv(tmp_path, make_drive())
+    for path in folder.glob("*.csv"):
+        names, columns = path.read_text().partition("\n")[0], np.loadtxt(path, delimiter=",", skiprows=1)
+        received = columns[:, 0] + 100.0
+        columns[:, 0] = received + (ahead if path.stem == file else 0.0)
+        _table(path, f"{names},received", columns, received)
+    time = "time: {column: t, unit: s}"
+    mapping = MAPPING.replace(time, f"{time}\nreceived: {{column: received, unit: s}}")
+    (folder / "mapping.yaml").write_text(mapping)
+    (cause,) = json_of(tmp_path, "check", import_drive(folder), code=ExitCode.FAILED)["causes"]
+    assert (cause["cause"], cause["source"]) == ("source_delay", source)
+    assert f"time_offset: {-ahead:.1f} (GPS time" in cause["remedy"]
+
+
 def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
     result = json_of(tmp_path, "check", healthy)
     assert result["plausible"] is True
     assert result["causes"] == []
+
+
+UNUSABLE: dict[str, Callable[[Any], None]] = {
+    "/gnss_pose": lambda m: setattr(m.pose, "covariance", np.zeros(36)),
+    "/imu/data_raw": lambda m: setattr(m, "angular_velocity_covariance", np.full(9, -1.0)),
+    "/sprockets": lambda m: setattr(m, "name", ["left_wheel", "right_wheel"]),
+}
+
+
+@pytest.mark.parametrize("topic", UNUSABLE)
+def test_a_source_without_a_valid_reading_is_not_plausible(topic: str, healthy: Path, tmp_path: Path) -> None:
+    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+        for m in bag.messages():
+            content = bag.deserialize(m.raw, m.type_name)
+            if m.topic == topic:
+                UNUSABLE[topic](content)
+            writer.write(m.topic, m.type_name, serialize(content), m.log_time_ns)
+    result = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)
+    found = [cause["source"] for cause in result["causes"] if cause["cause"] == "invalid_readings"]
+    found += [one["what"] for one in result["undetermined"] if "no valid speed" in one["what"]]
+    assert len(found) == 1
+    assert topic.strip("/") in found[0]
 
 
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:

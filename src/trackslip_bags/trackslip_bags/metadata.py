@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from trackslip_common.errors import joined_names
+
 METADATA = "metadata.yaml"  # in the directory of each bag
 METADATA_VERSION = 9  # Jazzy, Kilted
 
@@ -91,6 +93,7 @@ def check_metadata(bag: Path) -> None:
 
     Raises:
         ValueError: it is too large, names a file twice, or has invalid topics or times.
+        FileNotFoundError: files that it names are missing.
         OSError: it cannot be read.
     """
     path = bag / METADATA
@@ -133,15 +136,24 @@ def _check_topics(topics: Iterable[Any]) -> None:
 
 
 def _check_files(bag: Path, files: Iterable[Any]) -> None:
-    """Raise if a file is listed twice, under any name."""
+    """Raise if a file is listed twice, under any name, or if files are missing."""
     seen: set[tuple[int, int]] = set()
+    missing = []
     for name in files:
         if not isinstance(name, str) or not name or "\0" in name:
             raise ValueError(f"{METADATA}: {_FILES}: {name!r:.40}; accepted: names of files")
-        status = (bag / PurePath(name).name).stat()  # as rosbags resolves the name
+        file = bag / PurePath(name).name  # as rosbags resolves the name
+        if not file.exists():
+            missing.append(file.name)
+            continue
+        status = file.stat()
         if (status.st_dev, status.st_ino) in seen:
             raise ValueError(f"{METADATA}: {_FILES}: '{name:.200}' is there twice; accepted: each file once")
         seen.add((status.st_dev, status.st_ino))
+    if missing:
+        raise FileNotFoundError(
+            f"{joined_names(missing)} missing, which {METADATA} lists: copy what was recorded into the folder"
+        )
 
 
 def _total_extent(extents: Iterable[Extent]) -> Extent:

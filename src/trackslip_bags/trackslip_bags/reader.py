@@ -184,9 +184,10 @@ def _open(path: Path | str) -> Bag:
     except Exception as error:  # noqa: BLE001 (foreign bytes can raise anything in the parsers)
         indexed = path.is_file() or (path / METADATA).exists()
         reason = error_line(error) if indexed else "no metadata.yaml"
+        missing = reason if indexed and isinstance(error, FileNotFoundError) else ""
     parts = [open_file(file) for file in bag_files(path)]
     sources = [source for source, _ in parts if source is not None]
-    notes = "; ".join(note for _, note in parts if note) or reason
+    notes = "; ".join(filter(None, (missing, *(note for _, note in parts)))) or reason
     if not sources:
         raise InputError(f"bag '{path}' cannot be read ({notes}); accepted: {ACCEPTED}")
     return Bag(path, sources, notes)

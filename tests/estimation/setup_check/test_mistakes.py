@@ -16,7 +16,7 @@ from fixtures.setup_variants import VARIANTS, piece
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.clocks import SourceDelay, judge_delays
-from trackslip_estimation.setup_check.collect import Columns, log_of_columns
+from trackslip_estimation.setup_check.collect import log_of_columns
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
@@ -582,18 +582,30 @@ def test_of_two_sources_that_may_be_delayed_the_first_is_named() -> None:
         assert question.what == f"first_{k} is off by 0.50 s against one other source only"
 
 
-def cut_columns(log: Log, *, has_fractions: bool) -> Columns:
-    """Sprocket columns with or without fractions of seconds in their stamps."""
-    t = log.tracks.t if has_fractions else np.floor(log.tracks.t)
-    stamps = 1_700_000_000_000_000_000 + np.round(1e9 * t).astype(np.int64)
-    return {(SPROCKETS, "sprockets"): (stamps, np.hstack((log.tracks.speeds, log.tracks.angles)))}
-
-
-@pytest.mark.parametrize(("has_fractions", "expected"), [(True, []), (False, ["time_unit"])])
-def test_stamps_that_are_cut_to_whole_seconds_are_named(has_fractions: bool, expected: list[str]) -> None:
-    log = log_of_columns(cut_columns(drive(), has_fractions=has_fractions), load_slip_parameters({}))
+def log_of_cut_stamps(step: float, *, has_copies: bool = False) -> Log:
+    """Sprockets with stamps cut to steps of ``step`` s; with copies: one reading at each stamp, twice."""
+    tracks = drive().tracks
+    stamps = 1_700_000_040_000_000_000 + np.floor(tracks.t / step).astype(np.int64) * round(step * 1e9)
+    rows = np.repeat(np.unique(stamps, return_index=True)[1], 2) if has_copies else np.arange(len(stamps))
+    columns = stamps[rows], np.hstack((tracks.speeds, tracks.angles))[rows]
+    log = log_of_columns({(SPROCKETS, "sprockets"): columns}, load_slip_parameters({}))
     assert log is not None
-    assert [cause.cause for cause in check(log).causes] == expected
+    return log
+
+
+@pytest.mark.parametrize(
+    ("step", "expected"),
+    [(1e-9, []), (1.0, ["whole seconds"]), (60.0, ["whole minutes"]), (1e4, ["have one stamp"])],
+)
+def test_stamps_that_are_cut_to_whole_seconds_are_named(step: float, expected: list[str]) -> None:
+    causes = check(log_of_cut_stamps(step)).causes
+    assert [(c.cause, words in c.evidence) for c, words in zip(causes, expected, strict=True)] == [
+        ("time_unit", True)
+    ] * len(expected)
+
+
+def test_readings_once_a_second_that_are_recorded_twice_have_whole_stamps() -> None:
+    assert "time_unit" not in names_of(log_of_cut_stamps(1.0, has_copies=True))
 
 
 @pytest.mark.parametrize(("step", "expected"), [(0.001, []), (1.11, ["position_resolution"])])

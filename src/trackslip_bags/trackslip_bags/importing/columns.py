@@ -13,10 +13,12 @@ from trackslip_common.units import NS_PER_S, UNITS, factor_to_si
 from trackslip_common.yaml_tree import check_keys, flag, number, positive_number, section, texts
 
 ISO = "iso8601"
+MONTH_FIRST, DAY_FIRST = "mm/dd/yyyy", "dd/mm/yyyy"  # as ISO, but for the order of the date
 CLOCK = "hh:mm:ss"  # time of day, which begins again at midnight
 DEGREES_MINUTES = "ddmm.mmmm"  # of NMEA 0183: 4812.5 is 48° 12.5′
 FIRST = "first"  # as an origin: the first value of the column
 
+_DATES = (ISO, MONTH_FIRST, DAY_FIRST)
 _OPTIONAL_KEYS = ("scale", "origin", "missing")
 _ZONE = re.compile(r"Z|([+-])(\d\d):?(\d\d)")
 
@@ -40,7 +42,7 @@ class TimeColumn:
     """One or two columns of times, which add up: numbers of a unit, or ISO 8601 (date and time of day)."""
 
     names: tuple[str, ...]
-    units: tuple[str, ...]  # of UNITS["time"], or ISO
+    units: tuple[str, ...]  # of UNITS["time"], of _DATES, or CLOCK
     zone_ns: int = 0  # east of Greenwich, of ISO times that state no zone
 
     @property
@@ -51,7 +53,7 @@ class TimeColumn:
     @property
     def is_iso(self) -> bool:
         """Whether it holds dates."""
-        return self.units[0] == ISO
+        return self.units[0] in _DATES
 
     @property
     def is_clock(self) -> bool:
@@ -109,10 +111,10 @@ def read_time(where: str, value: Any) -> TimeColumn:
         InputError: a key, unit or value is not accepted.
     """
     tree = section(where, value)
-    is_iso = tree.get("unit") == ISO
+    is_iso = tree.get("unit") in _DATES
     check_keys(where, tree, ("column", "unit"), ("zone",) if is_iso else ())
     names, zone = texts(f"{where}.column", tree["column"]), tree.get("zone", "Z")
-    accepted = (*UNITS["time"], ISO, CLOCK)
+    accepted = (*UNITS["time"], *_DATES, CLOCK)
     units = tuple(map(str, tree["unit"])) if isinstance(tree["unit"], list) else (str(tree["unit"]),)
     for unit in units:
         if unit not in accepted:
@@ -121,7 +123,7 @@ def read_time(where: str, value: Any) -> TimeColumn:
     if (
         len(names) > 2
         or (not is_iso and len(units) != len(names))
-        or (len(units) > 1 and {ISO, CLOCK} & set(units))
+        or (len(units) > 1 and {*_DATES, CLOCK} & set(units))
     ):
         raise InputError(
             f"{where}: {len(names)} columns and {len(units)} units; accepted: one of each, "

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_bags.importing.columns import DEGREES_MINUTES, FIRST, Column, Spread, TimeColumn
+from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, Column, Spread, TimeColumn
 from trackslip_bags.importing.csv_fields import place_of, values_of
 from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_table
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import Samples, SelectedRows, Values, yaw_of
-from trackslip_bags.importing.times import LIMIT_NS, time_text, unit_hint
+from trackslip_bags.importing.times import LIMIT_NS, is_clock_without_colons, time_text, unit_hint
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import unwrap_angles
@@ -272,6 +272,11 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
 def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     """(rows,) times, ns; NO_TIME where blank."""
     raw_ns = _continued(table.times[column]) if column.is_clock else table.times[column]
+    if column.units == ("s",) and is_clock_without_colons(raw_ns[raw_ns != NO_TIME] * 1e-9):
+        raise InputError(
+            f"{table.path}: column '{column.name}' has no second 60 to 99: times of day as 143000.25; "
+            f"accepted: unit: {CLOCK} for these"
+        )
     times_ns = np.where(raw_ns == NO_TIME, NO_TIME, raw_ns + start_ns)
     bad = np.flatnonzero((raw_ns != NO_TIME) & ((times_ns < 0) | (times_ns >= LIMIT_NS)))
     if bad.size:

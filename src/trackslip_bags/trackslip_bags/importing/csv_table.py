@@ -38,7 +38,7 @@ from trackslip_common.errors import InputError, did_you_mean
 NO_TIME = np.iinfo(np.int64).min
 
 _BLANK = (
-    *("", "-", "--", "?", "na", "n/a", "#n/a", "nil", "null", "(null)", "none", "undefined"),
+    *("", "-", "--", "---", "?", "na", "n/a", "n.a.", "#n/a", "nil", "null", "(null)", "none", "undefined"),
     *("nan", "-nan", "nat", "<na>", "1.#qnan", "-1.#ind", "#value!", "#div/0!", "#num!"),
 )
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, ISO
+from trackslip_bags.importing.columns import CLOCK, DAY_FIRST, DEGREES_MINUTES, ISO, MONTH_FIRST
 from trackslip_bags.importing.csv_table import DECIMAL_COMMA
 from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split_cells
 from trackslip_bags.importing.log_kinds import require_table
-from trackslip_bags.importing.times import likely_unit
+from trackslip_bags.importing.times import date_unit, is_clock_without_colons, likely_unit
 from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
@@ -176,7 +176,10 @@ _PAIRS = (  # fields that come together; the first complete pair is used
     (("latitude", "longitude"), ("x", "y")),
 )
 _LONGEST_PERIOD = 2.0  # s between rows
+_DAY_NUMBERS = (36_526.0, 73_051.0)  # of a spreadsheet: 2000 to 2100
+_START_OF_DAY_NUMBERS = -2_209_161_600  # s: 1899-12-30
 _LARGEST_ANGLES = {"latitude": 90.0, "longitude": 180.0}  # deg
+_NEGATIVE_HEMISPHERES = {"latitude": "S", "longitude": "W"}
 _SCALE_OF_INTEGER_ANGLE = 1e-7  # deg per unit of the integers of MAVLink, u-blox and PX4
 
 
@@ -213,6 +216,7 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
     topics: dict[str, dict[str, Any]] = {}
     tree: dict[str, Any] = {"vehicle": vehicle}
     tree |= {"csv": _FlowMapping(decimal="comma")} if table.has_decimal_commas else {}
+    tree |= {"start": _START_OF_DAY_NUMBERS} if fields["time"].units == ("d",) else {}
     for field, columns in fields.items():
         (topics.setdefault(columns.topic, {}) if columns.topic else tree)[field] = columns.entry
     guessed = [guess for columns in fields.values() for guess in columns.guesses]
@@ -235,6 +239,7 @@ class _Table(NamedTuple):
     """The first rows of a log."""
 
     cells: Mapping[str, list[str]]  # non-blank cells, by column
+    units: Mapping[str, str]  # of the line below the names, by column
     has_decimal_commas: bool
 
     def numbers(self, name: str) -> FloatArray:
@@ -256,9 +261,11 @@ def _read_table(log: Path) -> _Table:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{log}: cannot be read ({error})") from error
     rows = [row for row in rows if len(row) >= len(head.names)]
+    has_units = bool(rows) and not any(re.match(r"[+-]?\.?\d", cell) for cell in rows[0])
+    units = dict(zip(head.names, rows.pop(0), strict=False)) if has_units else {}
     cells = {name: [row[k] for row in rows if row[k]] for k, name in enumerate(head.names) if name}
     has_commas = any(DECIMAL_COMMA.fullmatch(cell) for column in cells.values() for cell in column)
-    return _Table(cells, has_commas)
+    return _Table(cells, units, has_commas)
 
 
 class _FieldColumns(NamedTuple):
@@ -295,7 +302,7 @@ def _find_fields(table: _Table) -> dict[str, _FieldColumns]:
 
 def _find_column(kind: _FieldKind, table: _Table) -> _FieldColumns | None:
     for name in table.cells:
-        for stem, unit in _interpretations(name):
+        for stem, unit in _interpretations(name, table.units.get(name, "")):
             is_of_kind = not unit or any(unit in _UNITS[quantity] for quantity in kind.quantities)
             if is_of_kind and re.fullmatch(kind.names, stem) and not _NO_MEASUREMENT.fullmatch(stem):
                 return _field_columns(kind, table, name, stem, unit)
@@ -310,7 +317,7 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
     if not kind.is_certain and words[-1] == _SIDE_NUMBERS.get(side):
         guesses.append(f"side of {name}: {side}")
     unit_by_values, is_known = _unit_by_values(kind, table, name)
-    if is_known and (unit_by_values in (ISO, CLOCK) or not unit):
+    if is_known and (unit_by_values in (ISO, MONTH_FIRST, DAY_FIRST, CLOCK) or not unit):
         unit = unit_by_values
     elif is_position and not unit and any(re.fullmatch(_COUNTS, word) for word in words):
         unit, scale = "rev", 1.0 / _COUNTS_PER_TURN
@@ -325,6 +332,11 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
             scale = _SCALE_OF_INTEGER_ANGLE
         elif values.max() < 100.0 * (limit + 1.0) and (values % 100.0 < 60.0).all():
             unit, guesses = DEGREES_MINUTES, [f"unit of {name}: {DEGREES_MINUTES}"]
+    hemisphere = _NEGATIVE_HEMISPHERES.get(kind.field)
+    is_positive = bool((table.numbers(name) > 0.0).all())
+    if is_positive and any(set(cells) == {hemisphere} for cells in table.cells.values()):
+        scale = -scale
+        guesses.append(f"scale of {name}: -1, of the hemisphere {hemisphere}")
     has_increments = is_position and any(re.fullmatch(_INCREMENTS, word) for word in words)
     return _FieldColumns(kind.topic, (name,), (unit,), tuple(guesses), scale, has_increments)
 
@@ -337,9 +349,14 @@ def _unit_by_values(kind: _FieldKind, table: _Table, name: str) -> tuple[str, bo
         return unit, True
     numbers = table.numbers(name)
     if not numbers.size:
-        return ISO, True  # import states how a date is written
+        return date_unit(table.cells[name]), True  # import states how a date is written
+    if is_clock_without_colons(numbers):
+        return CLOCK, True
     steps = np.diff(numbers)
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    low, high = _DAY_NUMBERS
+    if 0.0 < period * UNITS["time"]["d"] <= _LONGEST_PERIOD and ((numbers > low) & (numbers < high)).all():
+        return "d", True
     units = (unit for unit in ("s", "ms", "us", "ns") if period * UNITS["time"][unit] <= _LONGEST_PERIOD)
     return next(units, kind.usual), False
 
@@ -354,9 +371,11 @@ def _two_column_time(table: _Table) -> _FieldColumns | None:
         )
         if not all(names):
             continue
-        cells = " ".join(next(iter(table.cells[name]), "") for name in names)
-        if units != (ISO,) or likely_unit(cells) == ISO:
+        cells = [" ".join(pair) for pair in zip(*(table.cells[name] for name in names), strict=False)]
+        if units != (ISO,):
             return _FieldColumns("", names, units)
+        if cells and (likely_unit(cells[0]) == ISO or "/" in cells[0]):
+            return _FieldColumns("", names, (date_unit(cells),))
     return None
 
 
@@ -374,9 +393,11 @@ def _normalised_name(name: str) -> str:
     return re.sub(r"[\W_]+", "_", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
 
 
-def _interpretations(name: str) -> Iterator[tuple[str, str]]:
+def _interpretations(name: str, unit_below: str) -> Iterator[tuple[str, str]]:
     """Interpretations of a name: without its unit, and the unit; then the whole name, without a unit."""
     normalised = _normalised_name(name)
+    if unit_below:
+        yield normalised, _unit_of_text(unit_below.strip("[]() "))
     if stated := _STATED_UNIT.search(name):
         unit = stated[1] or stated[2]
         yield _normalised_name(name[: stated.start()]), _unit_of_text(unit)

@@ -3,22 +3,32 @@
 """Exact times of a CSV log: text → ns."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import datetime, timezone
 from decimal import Decimal
 
-from trackslip_bags.importing.columns import CLOCK, ISO, TimeColumn, zone_offset_ns
+import numpy as np
+
+from trackslip_bags.importing.columns import CLOCK, DAY_FIRST, ISO, MONTH_FIRST, TimeColumn, zone_offset_ns
+from trackslip_common.arrays import FloatArray
 from trackslip_common.units import NS_PER_S, UNITS
 
 _SCALES = {unit: Decimal(round(seconds * NS_PER_S)) for unit, seconds in UNITS["time"].items()}  # ns
 _ISO = re.compile(
-    r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
-    r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
+    r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d|\d(?=:)):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
+    r"([AP]M)? ?(Z|UTC|GMT|[+-]\d\d:?\d\d)?",
+    re.IGNORECASE,
 )
-_DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
-_CLOCK = re.compile(r"(\d\d?):([0-5]\d):([0-5]\d|60)(?:[.,](\d{1,9})\d*)?")
+_DOTTED = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
+_SLASHED = re.compile(r"(\d\d?)/(\d\d?)/(\d{4})(?=[ T])")
+_CLOCK = re.compile(r"(\d\d?)(:?)([0-5]\d)\2([0-5]\d|60)(?:[.,](\d{1,9})\d*)?")
+_DATE_ORDER: dict[str, Callable[[re.Match[str]], str]] = {
+    MONTH_FIRST: lambda date: f"{date[3]}-{date[1]:0>2}-{date[2]:0>2}",
+    DAY_FIRST: lambda date: f"{date[3]}-{date[2]:0>2}-{date[1]:0>2}",
+}
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_LEAST_ROWS, _LONGEST_PERIOD = 10, 10.0  # rows, and s between them, that show times without colons
 _PLAUSIBLE_NS = range(10**18, 2**31 * 10**9)  # ns of plausible dates, from 2001 on
 _MAX_NS = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
 
@@ -28,7 +38,8 @@ LIMIT_NS = 2**31 * 10**9  # seconds of a ROS stamp are 32 bit, with sign
 def accepted_text(cell: str, column: TimeColumn) -> str:
     """Text of what a column accepts instead of ``cell``, with another unit if the cell fits it."""
     if column.is_iso:
-        return "as 2026-11-20T14:30:00.25+01:00"
+        example = "as 2026-11-20T14:30:00.25+01:00"
+        return f"{example} (or unit: {MONTH_FIRST} or {DAY_FIRST})" if _SLASHED.match(cell) else example
     if column.is_clock:
         return "as 14:30:00.25"
     return f"a number of {' + '.join(column.units)}{_other_unit(cell)}"
@@ -41,7 +52,7 @@ def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
         ValueError: the cells hold no such time.
     """
     if column.is_iso:
-        return _iso_ns(" ".join(cells), column.zone_ns)
+        return _iso_ns(" ".join(cells), column)
     if column.is_clock:
         return _clock_ns(cells[0])
     return sum(_number_ns(cell, unit) for cell, unit in zip(cells, column.units, strict=True))
@@ -66,13 +77,18 @@ def _number_ns(cell: str, unit: str) -> int:
     return int(value.to_integral_value())
 
 
-def _iso_ns(cell: str, default_zone_ns: int) -> int:
-    match = _date_of(cell)
+def _iso_ns(cell: str, column: TimeColumn) -> int:
+    match = _date_of(cell, column.units[0])
     if match is None:
         raise ValueError(cell)
-    *parts, fraction, zone = match.groups()
-    since_epoch = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
-    zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # 0 for UTC, GMT
+    *date, hour, minute, second, fraction, half, zone = match.groups()
+    if half is not None:
+        if not 1 <= int(hour) <= 12:
+            raise ValueError(cell)
+        hour = int(hour) % 12 + (12 if half.upper() == "PM" else 0)
+    numbers = (int(part or 0) for part in (*date, hour, minute, second))
+    since_epoch = datetime(*numbers, tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
+    zone_ns = column.zone_ns if zone is None else zone_offset_ns(zone) or 0  # 0 for UTC, GMT
     nanoseconds = int((fraction or "0").ljust(9, "0"))
     stamp_ns = (since_epoch.days * 86400 + since_epoch.seconds) * NS_PER_S + nanoseconds - zone_ns
     if abs(stamp_ns) > _MAX_NS:
@@ -81,18 +97,44 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
 
 
 def _clock_ns(cell: str) -> int:
-    match = _CLOCK.fullmatch(cell)
+    whole, point, rest = cell.partition(".")
+    match = _CLOCK.fullmatch(f"{whole.zfill(6)}{point}{rest}" if whole.isdecimal() else cell)
     if match is None:
         raise ValueError(cell)
-    hours, minutes, seconds = (int(part) for part in match.groups()[:3])
-    return (3600 * hours + 60 * minutes + seconds) * 10**9 + int((match[4] or "0").ljust(9, "0"))
+    hours, _, minutes, seconds, fraction = match.groups()
+    since_midnight = 3600 * int(hours) + 60 * int(minutes) + int(seconds)
+    return since_midnight * 10**9 + int((fraction or "0").ljust(9, "0"))
 
 
-def _date_of(cell: str) -> re.Match[str] | None:
-    """Parts of a date and time of day, also of the form 20.11.2026 14:30; None of other texts."""
-    return _ISO.fullmatch(cell) or _ISO.fullmatch(
-        _DAY_FIRST.sub(lambda day: f"{day[3]}-{day[2]:0>2}-{day[1]:0>2}", cell)
-    )
+def is_clock_without_colons(numbers: FloatArray) -> bool:
+    """Whether (n,) numbers are times of day as 143000.25: minutes pass, and none has a second 60 to 99."""
+    if len(numbers) < _LEAST_ROWS or np.median(np.diff(numbers)) > _LONGEST_PERIOD:
+        return False
+    minutes, seconds = np.divmod(numbers, 100.0)
+    is_time = (seconds < 60.0) & (minutes % 100.0 < 60.0) & (minutes >= 0.0) & (minutes < 2400.0)
+    return bool(is_time.all() and np.ptp(minutes) > 0.0)
+
+
+def _date_of(cell: str, unit: str = ISO) -> re.Match[str] | None:
+    """Parts of a date and time of day, also of the form 20.11.2026 14:30; None of other texts.
+
+    Of dates with slashes that begin with the day or month, ``unit`` states which.
+    """
+    cell = _DOTTED.sub(_DATE_ORDER[DAY_FIRST], cell)
+    return _ISO.fullmatch(cell if unit == ISO else _SLASHED.sub(_DATE_ORDER[unit], cell))
+
+
+def date_unit(cells: Sequence[str]) -> str:
+    """The unit of dates: of those with slashes the only one that suits all; ISO where both do, or none."""
+    fitting = [unit for unit in (MONTH_FIRST, DAY_FIRST) if all(_is_date(cell, unit) for cell in cells)]
+    return fitting[0] if len(fitting) == 1 else ISO
+
+
+def _is_date(cell: str, unit: str) -> bool:
+    with suppress(ValueError):
+        _iso_ns(cell, TimeColumn(("",), (unit,)))
+        return bool(_SLASHED.match(cell))
+    return False
 
 
 def unit_hint(value_ns: int, column: TimeColumn) -> str:
@@ -106,7 +148,7 @@ def likely_unit(cell: str) -> str:
     """The unit in which a cell is a plausible date or time of day; empty where there is none."""
     if _date_of(cell):
         return ISO
-    if _CLOCK.fullmatch(cell):
+    if ":" in cell and _CLOCK.fullmatch(cell):
         return CLOCK
     for unit in ("s", "ms", "us", "ns"):
         with suppress(ValueError):

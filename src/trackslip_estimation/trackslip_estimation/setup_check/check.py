@@ -76,14 +76,15 @@ def check(log: Log) -> Result:
 
 
 def _run_steps(log: Log, findings: _Findings) -> list[str]:
+    findings.add([_unusable_cause(name, count) for name, count in log.unusable.items()])
     log, missing = remove_missing(log)
     findings.add([_missing_cause(value) for value in missing])
     log, causes = clocks.correct_time_units(log)
+    causes += clocks.judge_fractions(log)
     findings.add(causes)
     if not causes:  # else the log may lack the sources in another unit
         log, causes = with_common_clock(log)
         findings.add(causes)
-    findings.add(clocks.judge_fractions(log))
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
     fixes, causes = places.drop_held(log.fixes)
     findings.add(causes)
@@ -133,6 +134,12 @@ def _correct_quantities(log: Log, findings: _Findings) -> tuple[Log, Drive]:
     causes, questions = unmoved.judge_fixes(drive)
     findings.add(causes, questions)
     return log, Drive.from_sources(log, None, None if causes else drive.fixes, drive.compass)
+
+
+def _unusable_cause(name: str, count: int) -> Cause:
+    evidence = f"none of {count} readings of {name} is valid: values not finite, or variances not above 0"
+    remedy = "Let its driver state values and covariance; of a log, trackslip import takes stddev: {x: …}"
+    return Cause("invalid_readings", name, evidence, odds_of(12.0), remedy)
 
 
 def _missing_cause(missing: MissingValue) -> Cause:
@@ -247,7 +254,8 @@ def _judge_delays(
     findings.measured += [
         _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
     ]
-    causes, questions = ([], []) if findings.has_cause("time_unit") else clocks.judge_delays(delays)
+    is_known = findings.has_cause("time_unit") or findings.has_cause("source_delay")
+    causes, questions = ([], []) if is_known else clocks.judge_delays(delays)
     delay = clocks.most_precise_delay(causes[0].source, delays) if causes else None
     if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:
         advantage = delay.gain - (0.0 if lever is None else lever.log_ratio)

@@ -120,16 +120,17 @@ def judge_fractions(log: Log) -> list[Cause]:
     for name, _, t in _source_stamps(log):
         steps, per_stamp = np.diff(t), log.per_stamp.get(name, 1.0)
         is_whole = bool((np.abs(steps - np.round(steps)) < _EXACT).all())
-        if len(t) < _LEAST_STAMPS or per_stamp < _SEVERAL or not is_whole:
+        if per_stamp * len(t) < _LEAST_STAMPS or per_stamp < _SEVERAL or not is_whole:
             continue
-        evidence = (
-            f"stamps of {name} are whole seconds, of {per_stamp:.0f} readings each: fractions are cut off"
-        )
+        unit = "minutes" if (np.round(steps) % 60 == 0).all() else "seconds"
+        evidence = f"stamps of {name} are whole {unit}, of {per_stamp:.0f} readings each: the rest is cut off"
+        if not len(steps):
+            evidence = f"all {per_stamp:.0f} readings of {name} have one stamp"
         remedy = (
             "Record the fractions too (mapping: time: {column: [secs, nsecs], unit: [s, ns]}), or stamp "
             "readings on arrival (stamp: log, or received)"
         )
-        causes.append(Cause("time_unit", name, evidence, odds_of(float(len(t))), remedy))
+        causes.append(Cause("time_unit", name, evidence, odds_of(per_stamp * len(t)), remedy))
     return causes
 
 

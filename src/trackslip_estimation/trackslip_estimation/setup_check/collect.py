@@ -36,9 +36,13 @@ class Collector:
     parameters: SlipEstimatorParameters
     parts: dict[Key, list[tuple[NDArray[np.int64], FloatArray]]] = field(default_factory=dict)
     counts: dict[Key, int] = field(default_factory=dict)
+    arrival_delays: dict[str, list[NDArray[np.int64]]] = field(default_factory=dict)  # ns, by topic
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Append (n,) ``records.MEASUREMENT`` of the compared kinds; ``sources``: names by their numbers."""
+        """Append (n,) ``records.MEASUREMENT`` of the compared kinds, with ``log_time_ns``, their arrival.
+
+        ``sources``: names by their numbers.
+        """
         for kind in _KINDS:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
@@ -47,6 +51,8 @@ class Collector:
                     self.counts[key] = self.counts.get(key, 0) + len(source_rows)
                     part = source_rows["stamp_ns"].astype(np.int64), _column_values(kind, source_rows)
                     self.parts.setdefault(key, []).append(part)
+                    delays = source_rows["log_time_ns"] - source_rows["stamp_ns"]
+                    self.arrival_delays.setdefault(sources[number], []).append(delays)
 
     def log(self) -> Log | None:
         """The log of all columns, on one clock; None without sprockets."""
@@ -54,7 +60,9 @@ class Collector:
         for key, parts in self.parts.items():
             stamps, values = zip(*parts, strict=True)
             columns[key] = np.concatenate(stamps), np.concatenate(values)
-        return log_of_columns(columns, self.parameters)
+        log = log_of_columns(columns, self.parameters)
+        delays = {name: float(np.median(np.concatenate(d))) * 1e-9 for name, d in self.arrival_delays.items()}
+        return None if log is None else replace(log, arrival_delays=delays)
 
 
 def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
@@ -64,15 +72,18 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
         return None
     start = int(tracks.min())
     per_stamp: dict[str, float] = {}
+    unusable: dict[str, int] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
-        t, readings, invalid = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
+        t, readings, count = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
         if len(t):
             ready[key] = t, readings
-            per_stamp[key[1]] = (len(stamps) - invalid) / len(t)
+            per_stamp[key[1]] = count / len(t)
+        else:
+            unusable[key[1]] = len(stamps)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
-    return replace(_make_log(ready, p), per_stamp=per_stamp)
+    return replace(_make_log(ready, p), per_stamp=per_stamp, unusable=unusable)
 
 
 def _column_values(kind: int, rows: Rows) -> FloatArray:
@@ -106,16 +117,23 @@ _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEA
 def _valid_readings(
     stamps: NDArray[np.int64], values: FloatArray, start_ns: int, kind: int
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Times (n,), s, ascending, and the first valid values at each; the number of invalid readings.
+    """Times (n,), s, ascending, and the first valid values at each; the number of readings, copies apart.
 
-    A reading is invalid if a needed value is no number, or if its stamp is on another clock than most.
+    A reading is valid if its needed values are numbers, the variances of a place are above 0, and its stamp
+    is on the clock of most.
     """
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         is_valid = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
+        if kind == POSE:
+            is_valid &= (values[:, 3:5] > 0.0).all(axis=1)
     is_valid &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
-    t, first = np.unique((stamps[is_valid] - start_ns) * 1e-9, return_index=True)
-    return t, values[is_valid][first], int((~is_valid).sum())
+    stamps, values = stamps[is_valid], values[is_valid]
+    t, first = np.unique((stamps - start_ns) * 1e-9, return_index=True)
+    order = np.argsort(stamps, kind="stable")
+    same = np.diff(values[order], axis=0) == 0.0
+    is_copy = (np.diff(stamps[order]) == 0) & (same | np.isnan(values[order][1:])).all(axis=1)
+    return t, values[first], len(stamps) - int(is_copy.sum())
 
 
 def _make_log(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sources on another clock than the tracks, by the delay of their speeds after those of the tracks.
+"""Sources on another clock than the tracks: by their arrivals, or the delay of their speeds.
 
     r(τ) = correlation of |v| by the tracks at t and |v| by the fixes at t + τ
 
@@ -8,14 +8,17 @@ Neither signs nor units change r. ``clocks`` resolves delays below ``LARGEST_DEL
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
+from trackslip_estimation.setup_check.clocks import TRACKS
 from trackslip_estimation.setup_check.delay import LARGEST_DELAY, maximum_between_steps
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
-from trackslip_estimation.setup_check.log import Fixes, Gyro, Log, Tracks
+from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Tracks
+
+S = TypeVar("S", Compass, Fixes, Gyro)
 
 _LARGEST_SHIFT = 60.0  # s, largest delay that is tried
 _OVERLAP = 0.75  # share of the readings that must overlap
@@ -38,6 +41,7 @@ class _Shift(NamedTuple):
 
 def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
     """The log on the clock of the tracks, and a cause for each source on another one."""
+    log, arrival_causes = _judge_arrivals(log)
     causes = _judge_overlap(log)
     other_clock = {cause.source for cause in causes}
     shifts = {}
@@ -47,7 +51,7 @@ def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
             shifts[source.name] = shift.value
             causes.append(_shift_cause(source.name, shift))
     if not causes:
-        return log, []
+        return log, arrival_causes
     gyros = tuple(source for source in log.gyros if source.name not in other_clock)
     fixes = [replace(source, t=source.t - shifts.get(source.name, 0.0)) for source in log.fixes]
     # the clock of all other compasses is unknown
@@ -55,7 +59,42 @@ def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
         replace(source, t=source.t - shifts[source.name]) for source in log.compasses if source.name in shifts
     ]
     remaining = tuple(source for source in fixes if source.name not in other_clock)
-    return replace(log, gyros=gyros, fixes=remaining, compasses=tuple(compasses)), causes
+    return replace(log, gyros=gyros, fixes=remaining, compasses=tuple(compasses)), [*arrival_causes, *causes]
+
+
+def _judge_arrivals(log: Log) -> tuple[Log, list[Cause]]:
+    """The log on the clock of the tracks, and a cause for each source that arrives at other times than most.
+
+    Arrivals are logged by one clock: it shows how the clocks of the stamps differ.
+    """
+    delays = log.arrival_delays
+    if TRACKS not in delays:
+        return log, []
+
+    def is_near(one: float, other: float) -> bool:
+        return abs(one - other) < LARGEST_DELAY
+
+    usual = max(delays.values(), key=lambda d: (sum(is_near(d, other) for other in delays.values()), -abs(d)))
+    offsets = {name: delay - usual for name, delay in delays.items() if not is_near(delay, usual)}
+
+    def to_tracks(source: S) -> S:
+        return replace(source, t=source.t + offsets.get(source.name, 0.0) - offsets.get(TRACKS, 0.0))
+
+    gyros, fixes = tuple(map(to_tracks, log.gyros)), tuple(map(to_tracks, log.fixes))
+    log = replace(log, gyros=gyros, fixes=fixes, compasses=tuple(map(to_tracks, log.compasses)))
+    return log, [_arrival_cause(name, delays[name], usual) for name in offsets]
+
+
+def _arrival_cause(name: str, delay: float, usual: float) -> Cause:
+    own, other = (f"{abs(d):.1f} s {'after' if d >= 0.0 else 'before'}" for d in (delay, usual))
+    evidence = f"{name} arrives {own} its stamps, other sources {other} theirs"
+    return Cause("source_delay", name, evidence, odds_of(12.0), _clock_remedy(name, usual - delay))
+
+
+def _clock_remedy(name: str, ahead: float) -> str:
+    """Remedy for stamps that are ``ahead`` of those of the other sources, s."""
+    gps = " (GPS time is 18 s ahead of UTC)" if abs(abs(ahead) - 18.0) < 1.0 else ""
+    return f"In the mapping of {name}: time_offset: {-ahead:.1f}{gps}; or set the clock of its driver"
 
 
 def _judge_overlap(log: Log) -> list[Cause]:
@@ -83,9 +122,7 @@ def _shift_cause(name: str, shift: _Shift) -> Cause:
         f"speeds by {name} follow those of the sprockets {abs(shift.value):.1f} s {order}: correlation "
         f"{shift.correlation:.2f}, with the stamps as they are {shift.without:.2f}"
     )
-    gps = " (GPS time is 18 s ahead of UTC)" if abs(abs(shift.value) - 18.0) < 1.0 else ""
-    remedy = f"In the mapping of {name}: time_offset: {-shift.value:.1f}{gps}; or set the clock of its driver"
-    return Cause("source_delay", name, evidence, odds_of(shift.gain), remedy)
+    return Cause("source_delay", name, evidence, odds_of(shift.gain), _clock_remedy(name, shift.value))
 
 
 def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:

@@ -123,6 +123,8 @@ class Log:
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
     counts: Counts = Counts()
     per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
+    arrival_delays: dict[str, float] = field(default_factory=dict)  # topic → median of arrival − stamp, s
+    unusable: dict[str, int] = field(default_factory=dict)  # topic without a valid reading → readings
 
     def with_tracks(self, matrix: FloatArray) -> "Log":
         """The log with (2, 2) ``matrix`` applied to left and right."""

@@ -4,17 +4,23 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
-from trackslip_estimation.setup_check.finding import OpenQuestion, Result, odds_text
+from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, Result, odds_of, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import Rejection
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.terminal_text import table, wrap_line
 
-NO_SPROCKETS = OpenQuestion("everything: there are no sprockets", "record the topic sprockets")
+NO_SPROCKETS = OpenQuestion(
+    "everything: there is no valid speed of the sprockets",
+    "record the topic sprockets, with the joints and the velocities that docs/topics.md names",
+    is_wrong=True,
+)
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
 
@@ -35,13 +41,26 @@ def check_bag(
         collector.add(batch.rows, stream.sources)
         advance(max(stream.duration_s - reached, 0.0))
         reached = max(reached, stream.duration_s)
-    return check_collected(collector)
+    return check_collected(collector, stream)
 
 
-def check_collected(collector: Collector) -> Result:
-    """Result of the check over the collected measurements."""
+def check_collected(collector: Collector, stream: InputStream) -> Result:
+    """Result of the check over the collected measurements, and of sources whose messages become none."""
     log = collector.log()
-    return Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
+    result = Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
+    reasons = {reason.value for reason in Rejection}
+    causes = [
+        Cause(
+            "invalid_readings",
+            source,
+            f"all {count} messages of {source} are {reason}",
+            odds_of(12.0),
+            f"Leave {source} out of the sources of the slip estimator, or let its driver measure it",
+        )
+        for (source, reason), count in stream.rejected.total.items()
+        if reason in reasons and count == stream.messages[source]
+    ]
+    return replace(result, causes=(*result.causes, *causes))
 
 
 def remedy_settings(result: Result) -> list[str]:

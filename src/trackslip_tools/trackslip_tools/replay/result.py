@@ -25,7 +25,7 @@ from trackslip_estimation.setup_check.finding import Result as Setup
 from trackslip_estimation.slip.explanations import AcceptedEvent
 from trackslip_estimation.slip.learned_text import LearnedQuantity
 from trackslip_estimation.slip.local_odometry import LocalOdometry
-from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.measurements import Fault, Outcome
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.comparison import (
     TILT,
@@ -50,8 +50,9 @@ from trackslip_tools.replay.travel import Travel
 from trackslip_tools.replay.withheld import WithheldErrors, WithholdResult
 
 # Field of a result → reasons of a rejection.
-_REJECTIONS: dict[str, Sequence[Outcome | AttitudeRejection]] = {
-    "outcome": [outcome for outcome in Outcome if outcome.is_rejected],
+_REJECTIONS: dict[str, Sequence[Outcome | Fault | AttitudeRejection]] = {
+    "outcome": [outcome for outcome in Outcome if outcome.is_rejected and outcome is not Outcome.INVALID],
+    "fault": [*Fault],  # of those that are INVALID
     "attitude": [*AttitudeRejection],
 }
 KEPT_ESTIMATE = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)

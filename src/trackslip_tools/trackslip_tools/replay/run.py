@@ -62,7 +62,7 @@ def replay(
     result = collector.result()
     result.no_estimate = explain_missing_estimate(bag, p, filters, collector.processed)
     result.start = start
-    result.setup = check_collected(setup)
+    result.setup = check_collected(setup, stream)
     result.withheld = withheld.result(stream.withholding.counts)
     if soil is not None and stream.messages[HYDRAULICS]:
         result.soil = soil.result(stream.counts.comparable)
