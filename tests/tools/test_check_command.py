@@ -142,6 +142,19 @@ def test_a_source_without_a_valid_reading_is_not_plausible(topic: str, healthy: 
     assert topic.strip("/") in found[0]
 
 
+def test_a_clock_that_is_set_back_while_it_records_is_named(healthy: Path, tmp_path: Path) -> None:
+    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+        middle_ns = (bag.start_ns + bag.end_ns) // 2
+        for m in bag.messages():
+            content, back_s = bag.deserialize(m.raw, m.type_name), 3 if m.log_time_ns > middle_ns else 0
+            if hasattr(content, "header"):
+                content.header.stamp.sec -= back_s
+            writer.write(m.topic, m.type_name, serialize(content), m.log_time_ns - back_s * 10**9)
+    result = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)
+    (cause,) = (cause for cause in result["causes"] if cause["cause"] == "clock_set_back")
+    assert f"--stop {(middle_ns - bag.start_ns) * 1e-9 - 3.0:.0f}" in cause["remedy"]
+
+
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:
     result = json_of(tmp_path, "check", swapped, code=ExitCode.FAILED)
     assert result["plausible"] is False

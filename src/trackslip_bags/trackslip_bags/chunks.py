@@ -39,6 +39,13 @@ _STRETCH_BYTES = 32_000_000  # upper limit of a stretch
 _STRETCH_MESSAGES = 5000  # upper limit of a stretch read message by message
 
 
+class Span(NamedTuple):
+    """Log times that the clock of the recorder passed twice, as it was set back."""
+
+    begin_ns: int
+    end_ns: int
+
+
 class Stretch(NamedTuple):
     """All messages logged before ``until_ns`` and not in an earlier stretch, in log order."""
 
@@ -48,6 +55,7 @@ class Stretch(NamedTuple):
     log_times_ns: IntArray  # (n,)
     starts: IntArray  # (n,) of the contents, in the buffer
     lengths: IntArray  # (n,) of the contents, bytes
+    passed_twice: Span | None = None  # None: no log times, or the order written is unknown
 
 
 def read_stretches(
@@ -147,12 +155,19 @@ def _merge_chunks(parts: deque[FileChunk], start_ns: int, stop_ns: int) -> Itera
         due = select_rows(rows, since_start & (rows.log_times_ns < until_ns))
         ordered = select_rows(due, np.lexsort((due.written[:, 1], due.written[:, 0], due.log_times_ns)))
         if until_ns > start_ns:
-            yield Stretch(
-                until_ns, joined, ordered.topics, ordered.log_times_ns, ordered.starts, ordered.lengths
-            )
+            columns = ordered.topics, ordered.log_times_ns, ordered.starts, ordered.lengths
+            yield Stretch(until_ns, joined, *columns, _passed_twice(due))
         buffer, waiting = _copy_messages(
             joined, select_rows(rows, since_start & (rows.log_times_ns >= until_ns))
         )
+
+
+def _passed_twice(rows: MessageRows) -> Span | None:
+    """Log times that messages of one topic pass twice in the order written."""
+    order = np.lexsort((rows.written[:, 1], rows.written[:, 0], rows.topics))
+    topics, times = rows.topics[order], rows.log_times_ns[order]
+    back = np.flatnonzero((np.diff(topics) == 0) & (np.diff(times) < 0))
+    return Span(int(times[back + 1].min()), int(times[back].max())) if back.size else None
 
 
 def _copy_messages(buffer: Bytes, rows: MessageRows) -> tuple[Bytes, MessageRows]:

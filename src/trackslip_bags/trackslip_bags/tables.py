@@ -31,12 +31,13 @@ _LAYOUTS = 64  # per topic; messages of further layouts are read one by one
 class Stretch(dict[str, "TopicTable"]):
     """The messages of some seconds, by topic as in the bag; topics without messages are absent.
 
-    ``until_ns``: every message logged before this time is in this or an earlier stretch.
+    ``until_ns``: every message logged before this time is in this or an earlier stretch. ``passed_twice``: as
+    in ``chunks.Stretch``.
     """
 
-    def __init__(self, until_ns: int) -> None:
+    def __init__(self, until_ns: int, passed_twice: chunks.Span | None) -> None:
         super().__init__()
-        self.until_ns = until_ns
+        self.until_ns, self.passed_twice = until_ns, passed_twice
 
 
 class TopicTable:
@@ -172,7 +173,7 @@ def read_tables(
     """
     requested = [_Topic(bag, topic) for topic in bag.matching_topics(topics)]
     for stretch in chunks.read_stretches(bag, topics, start_ns, stop_ns):
-        tables = Stretch(stretch.until_ns)
+        tables = Stretch(stretch.until_ns, stretch.passed_twice)
         for number, topic in enumerate(requested):
             order = np.flatnonzero(stretch.topics == number)
             if order.size:

@@ -21,6 +21,7 @@ NO_SPROCKETS = OpenQuestion(
     "record the topic sprockets, with the joints and the velocities that docs/topics.md names",
     is_wrong=True,
 )
+_SET_BACK_NS = 1_000_000_000  # by less, messages of several threads are out of order
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
 
@@ -48,8 +49,13 @@ def check_collected(collector: Collector, stream: InputStream) -> Result:
     """Result of the check over the collected measurements, and of sources whose messages become none."""
     log = collector.log()
     result = Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
+    return replace(result, causes=(*result.causes, *_invalid_sources(stream), *_recorder_set_back(stream)))
+
+
+def _invalid_sources(stream: InputStream) -> list[Cause]:
+    """A cause for each source of which no message has a measurement."""
     reasons = {reason.value for reason in Rejection}
-    causes = [
+    return [
         Cause(
             "invalid_readings",
             source,
@@ -60,7 +66,17 @@ def check_collected(collector: Collector, stream: InputStream) -> Result:
         for (source, reason), count in stream.rejected.total.items()
         if reason in reasons and count == stream.messages[source]
     ]
-    return replace(result, causes=(*result.causes, *causes))
+
+
+def _recorder_set_back(stream: InputStream) -> list[Cause]:
+    """A cause if the clock of the recorder was set back: readings of two times are mixed."""
+    span = stream.passed_twice
+    if span is None or span.end_ns - span.begin_ns < _SET_BACK_NS:
+        return []
+    begin, end = ((t - stream.start_ns) * 1e-9 for t in span)
+    evidence = f"the recorder's clock was set back: it passed {begin:.1f} s to {end:.1f} s of the bag twice"
+    remedy = f"Replay --stop {begin:.1f}, and --start {end:.1f} by itself; set the clock before a drive"
+    return [Cause("clock_set_back", "recorder", evidence, odds_of(12.0), remedy)]
 
 
 def remedy_settings(result: Result) -> list[str]:

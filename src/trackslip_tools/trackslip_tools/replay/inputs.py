@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trackslip_bags.chunks import Span
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.manual_poses import input_names
 from trackslip_bags.parameters import (
@@ -113,6 +114,7 @@ class InputStream:
         self.rejected, self._frames = Tally(), p.frames_of_sources()
         self.withholding = Withholding(filters, bag.start_ns)
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
+        self.passed_twice: Span | None = None  # so far
 
     @property
     def topics(self) -> frozenset[str]:
@@ -137,6 +139,7 @@ class InputStream:
         order = LiveOrder(self.sources, self._journaled_sources(), commands, sprockets, parameters.unknown)
         self.counts = order.counts
         for stretch in read_tables(self._bag, self._names, *self._span):
+            self._extend_passed_twice(stretch.passed_twice)
             rows, lines = self._read_arrivals(stretch, parameters), self._journal_lines(stretch)
             ready = order.push(filtering(rows), lines, stretch.until_ns)
             yield Batch(ready, self._requested_tables(stretch))
@@ -219,6 +222,12 @@ class InputStream:
         lacks = is_usable & (read[field_] == ABSENT)
         self.rejected.add(name, reason, int(lacks.sum()))
         return np.asarray(~lacks)
+
+    def _extend_passed_twice(self, span: Span | None) -> None:
+        earlier = self.passed_twice
+        if span is not None and earlier is not None:
+            span = Span(min(earlier.begin_ns, span.begin_ns), max(earlier.end_ns, span.end_ns))
+        self.passed_twice = span or earlier
 
     def _extend_duration(self, stamps_ns: IntArray, name: str) -> None:
         if len(stamps_ns) and name != SET_POSE:  # a manual pose may lack a stamp
