@@ -120,11 +120,12 @@ def weigh_and_update(
         return
     since_ns = measurement.stamp_ns - state.consistent_ns[source]
     inflation = correlated_inflation(since_ns, c.repeat_times[source])
-    R, is_used, is_independent = _weigh(state, measurement, o, predicted, log_outlier, c, update)
+    repeats_standstill = is_at_same_standstill(state, source, c)
+    R = _weigh(state, measurement, o, predicted, log_outlier, repeats_standstill, c, update)
     _discount_correlated_angle(kind, elapsed, log_outlier, update)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _set_whitened_innovation(state, o.innovation, predicted + R, update)
-    if not is_used:
+    if update.outcome == _GATED:
         return
     if kind == POSE and is_trusted(fault, POSE) and update.nis <= update.gate:
         _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
@@ -135,7 +136,7 @@ def weigh_and_update(
     inflate_noise_to_gate(R, o.innovation, predicted, c.gate_limits[m])
     if kind == POSE:
         R *= min(inflation, largest_correlated_inflation(predicted, R))
-        inflate_repeated_fix(state, source, is_independent, R, c)
+        inflate_repeated_fix(state, source, not repeats_standstill or update.nis > update.gate, R, c)
     _correct(
         state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.cross_covariance), c
     )
@@ -250,12 +251,13 @@ def _weigh(
     o: Observation,
     predicted: FloatArray,
     log_outlier: float,
+    repeats_standstill: bool,
     c: Config,
     update: Update,
-) -> tuple[FloatArray, bool, bool]:
-    """Fill ``update``; return R (m, m), whether the measurement is used, and whether it is independent.
+) -> FloatArray:
+    """Fill ``update``, with the outcome GATED if the measurement is not used; return its R (m, m).
 
-    It is not where it repeats a fix of the same standstill within its gate. ``predicted``: H P Hᵀ (m, m);
+    A fix that ``repeats_standstill`` within its gate is not learned from. ``predicted``: H P Hᵀ (m, m);
     ``log_outlier``: ln of the density of an outlier.
     """
     source, m, a = measurement.source, o.innovation.size, state.adaptation
@@ -265,10 +267,9 @@ def _weigh(
     L = root(predicted + R)
     update.dof, update.gate = m, limit
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
-    is_independent = not is_at_same_standstill(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
         update.evidence, update.outcome = log_density_of_scatter(measurement, o, predicted, c), _GATED
-        return R, False, is_independent
+        return R
     density = log_density(L, o.innovation)
     if not coarse:
         density = log_density_over_factors(a, source, o.innovation, predicted, o.noise, c)
@@ -278,7 +279,8 @@ def _weigh(
     state.outlier_share[source] += c.bank.share_memory * (contribution - share)
     if is_outlier:
         update.evidence, update.outcome = outlier, _GATED
-        return R, False, is_independent
+        return R
+    is_independent = not repeats_standstill or update.nis > limit
     is_learned = is_independent and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit
     if is_learned and not coarse:
         learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
@@ -294,7 +296,7 @@ def _weigh(
         state.consistent_ns[source] = measurement.stamp_ns
         if measurement.kind == POSE:
             state.sole_fix_source, state.sole_fix_heading = -1, False
-    return R, True, is_independent
+    return R
 
 
 @compiled

@@ -101,8 +101,7 @@ def create_children(window: Window, k: int, c: Config) -> int:
             snapshot.weight -= branch.weight
         branch.weight = 0.0
         return 1
-    status = window.status[0]
-    status.pooled, status.share_left = copy_row_to_pool(window, k), 1.0
+    copy_row_to_pool(window, k)
     least = -c.bank.spawns  # weight before the measurement
     parents = [p for p in range(count) if needs_children[p] and window.branches[p, k - 1].weight >= least]
     for p in parents:
@@ -112,7 +111,7 @@ def create_children(window: Window, k: int, c: Config) -> int:
             implausible = _is_slip_implausible(window, p, k, c)
             make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
         window.pool_branches[p].cusum[:] = 0.0
-    return int(status.pooled)
+    return int(window.status[0].pooled)
 
 
 @compiled
@@ -121,13 +120,13 @@ def create_failure_children(window: Window, k: int, c: Config) -> int:
 
     In each child a unit does not measure the motion. Returns the number of branches and children.
     """
-    status, shows_motion = window.status[0], window.measurements[k].kind != SLIPS
-    status.pooled, status.share_left = copy_row_to_pool(window, k), 1.0
+    copy_row_to_pool(window, k)
+    shows_motion = window.measurements[k].kind != SLIPS
     for p in range(window.counts[k]):
         is_rejected, weight = update_of(window, p, k).evidence != 0.0, window.branches[p, k - 1].weight
         if is_rejected and shows_motion and weight >= -c.bank.spawns and has_velocity_errors(c):
             make_failure_children(window, p, k, 0.0, c)
-    return int(status.pooled)
+    return int(window.status[0].pooled)
 
 
 @compiled

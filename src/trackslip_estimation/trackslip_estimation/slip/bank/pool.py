@@ -30,7 +30,9 @@ def update_of(window: Window, s: int, k: int) -> Update:
 
 @compiled
 def copy_row_to_pool(window: Window, k: int) -> int:
-    """Copy the branches of row k to the pool; return their number."""
+    """Copy the branches of row k to the pool, to which children may be added; return their number."""
+    status = window.status[0]
+    status.pooled, status.share_left = window.counts[k], 1.0
     for s in range(window.counts[k]):
         window.pool_states[s], window.pool_branches[s] = window.states[s, k], window.branches[s, k]
         window.pool_updates[s] = update_of(window, s, k)

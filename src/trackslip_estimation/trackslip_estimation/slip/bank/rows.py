@@ -78,9 +78,10 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
         for s in range(existing):
             states[s, k], branches[s, k] = states[s, k - 1], branches[s, k - 1]
             branches[s, k].first = k
-        jobs, weighs, j, closes = existing, is_weighed(measurements[k]) and not scripted, 0, -1
+        total, j, sample_entry = existing, 0, -1
+        changes_weights = is_weighed(measurements[k]) and not scripted
         prior = prior_of(window, k)
-        while j < jobs:
+        while j < total:
             state = states[j, k] if j < existing else window.pool_states[j]
             branch = branches[j, k] if j < existing else window.pool_branches[j]
             update = update_of(window, j, k) if j < existing else window.pool_updates[j]
@@ -90,9 +91,9 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
                     apply_scripted_events(window, k, 0, c)
             for i in range(branch.first, k + 1):
                 copy_error_models(state, window, i - 1, c)
-                if closes < i or i == branch.first:
-                    closes = closing if i == k else next_sample(measurements, i, count)
-                sample = measurements[closes if closes < count else i]
+                if sample_entry < i or i == branch.first:
+                    sample_entry = closing if i == k else next_sample(measurements, i, count)
+                sample = measurements[sample_entry if sample_entry < count else i]
                 step(state, sample, measurements[i], c, update, prior)
                 branch.weight += update.evidence
             if j == 0:
@@ -100,24 +101,24 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
                 if is_weighed(measurements[k]):
                     compare_fix(window, k, c)
             j += 1
-            if j == existing and weighs:
-                jobs = create_children(window, k, c)
+            if j == existing and changes_weights:
+                total = create_children(window, k, c)
             elif j == existing and not scripted and _is_measurement_rejected(window, k):
-                jobs, weighs = create_failure_children(window, k, c), True
+                total, changes_weights = create_failure_children(window, k, c), True
         if scripted:
             apply_scripted_events(window, k, 1, c)
         else:
-            finish_row(window, k, jobs, weighs, c)
+            finish_row(window, k, total, changes_weights, c)
         if not is_finite_state(states[0, k], c.size):
             return False
     return True
 
 
 @compiled
-def finish_row(window: Window, k: int, jobs: int, weighs: bool, c: Config) -> None:
-    """Prune row k of ``jobs`` branches and children if measurement k changed w; split unknown headings."""
-    if weighs:
-        prune_row(window, k, jobs, c)
+def finish_row(window: Window, k: int, total: int, changes_weights: bool, c: Config) -> None:
+    """Prune row k of ``total`` branches and children if measurement k changed w; split unknown headings."""
+    if changes_weights:
+        prune_row(window, k, total, c)
         reset_receivers_after_turn(window, k, c)
     advance_snapshots(window, k, c)
     if is_moving_without_heading(window.states[0, k]):
@@ -183,23 +184,23 @@ def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
 
 
 @compiled
-def prune_row(window: Window, k: int, jobs: int, c: Config) -> None:
-    """Merge and prune the ``jobs`` branches and children into row k; move its snapshots."""
+def prune_row(window: Window, k: int, total: int, c: Config) -> None:
+    """Merge and prune the ``total`` branches and children into row k; move its snapshots."""
     measurement, count = window.measurements[k], window.counts[k]
-    if jobs > 1 or not is_weighed(measurement):
+    if total > 1 or not is_weighed(measurement):
         _equalize_tied_evidence(window, count, measurement.source)
-        for h in range(jobs):
+        for h in range(total):
             branch, state = window.pool_branches[h], window.pool_states[h]
             if not is_finite_state(state, c.size) or math.isnan(branch.weight):
                 branch.weight = -math.inf
-        for h in range(count, jobs):
+        for h in range(count, total):
             branch, state = window.pool_branches[h], window.pool_states[h]
             branch.weight -= slip_range_penalty(state, c)
             branch.cusum[:] = 0.0
             if state.fault[measurement.source] == IS_IGNORED:  # only for this measurement
                 state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0
-        merge_similar_branches(window, jobs, c)
-        fill_row_from_pool(window, k, jobs, c)
+        merge_similar_branches(window, total, c)
+        fill_row_from_pool(window, k, total, c)
     _move_snapshots(window, k, c)
 
 
