@@ -65,12 +65,12 @@ def correlated(variance: float, correlation: float) -> FloatArray:
     return covariance
 
 
-# Few steps: 10⁵; ``make fuzz`` takes 10⁷
+# Few steps: 4 · 10⁴; ``make fuzz`` takes 10⁷
 @pytest.mark.parametrize("machine", range(len(random_steps.MACHINES)))
 def test_random_steps_leave_finite_numbers_and_a_positive_covariance(machine: int) -> None:
-    episodes = range(machine, 56, len(random_steps.MACHINES))
+    episodes = range(machine, 24, len(random_steps.MACHINES))
     found = [random_steps.episode(number) for number in episodes]
-    assert sum(episode.steps for episode in found) >= 12_500
+    assert sum(episode.steps for episode in found) >= 5_000
     assert [fault for episode in found for fault in episode.faults] == []
     outcomes = np.sum([episode.outcomes for episode in found], axis=0)
     assert outcomes[Outcome.ACCEPTED] > 0.5 * outcomes.sum()
