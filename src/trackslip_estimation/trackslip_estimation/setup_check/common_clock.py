@@ -67,7 +67,8 @@ def _judge_arrivals(log: Log) -> tuple[Log, list[Cause]]:
 
     Arrivals are logged by one clock: it shows how the clocks of the stamps differ.
     """
-    compared = {TRACKS, *(source.name for source in (*log.gyros, *log.fixes, *log.compasses))}
+    compared = {TRACKS, *(g.name for g in log.gyros), *(f.name for f in log.fixes)}
+    compared |= {compass.name for compass in log.compasses}
     delays = {name: delay for name, delay in log.arrival_delays.items() if name in compared}
     if TRACKS not in delays:
         return log, []
