@@ -17,6 +17,7 @@ from fixtures.setup_drives import make_drive
 from trackslip_bags.messages import serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.setup_check.log import Log
 from trackslip_tools.cli import shared_options
@@ -93,6 +94,19 @@ def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: st
     assert any("no time in common" in cause["evidence"] for cause in result["causes"])
 
 
+def write_received(folder: Path, change: Callable[[str, FloatArray], tuple[FloatArray, FloatArray]]) -> Path:
+    """The files of a drive with times of arrival; ``change``: rows (n, m) of a file → rows, arrivals (n,)."""
+    folder = write_csv(folder, make_drive())
+    for path in folder.glob("*.csv"):
+        names, columns = path.read_text().partition("\n")[0], np.loadtxt(path, delimiter=",", skiprows=1)
+        columns, received = change(path.stem, columns)
+        _table(path, f"{names},received", columns, received)
+    time = "time: {column: t, unit: s}"
+    mapping = MAPPING.replace(time, f"{time}\nreceived: {{column: received, unit: s}}")
+    (folder / "mapping.yaml").write_text(mapping)
+    return folder
+
+
 @pytest.mark.parametrize(
     ("file", "source"), [("tracks", "sprockets"), ("imu", "imu/data_raw"), ("gnss", "gnss_pose")]
 )
@@ -100,18 +114,24 @@ def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: st
 def test_a_source_on_another_clock_is_named_by_its_arrivals(
     file: str, source: str, ahead: float, tmp_path: Path
 ) -> None:
-    folder = write_csv(tmp_path, make_drive())
-    for path in folder.glob("*.csv"):
-        names, columns = path.read_text().partition("\n")[0], np.loadtxt(path, delimiter=",", skiprows=1)
+    def change(name: str, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         received = columns[:, 0] + 100.0
-        columns[:, 0] = received + (ahead if path.stem == file else 0.0)
-        _table(path, f"{names},received", columns, received)
-    time = "time: {column: t, unit: s}"
-    mapping = MAPPING.replace(time, f"{time}\nreceived: {{column: received, unit: s}}")
-    (folder / "mapping.yaml").write_text(mapping)
+        columns[:, 0] = received + (ahead if name == file else 0.0)
+        return columns, received
+
+    folder = write_received(tmp_path, change)
     (cause,) = json_of(tmp_path, "check", import_drive(folder), code=ExitCode.FAILED)["causes"]
     assert (cause["cause"], cause["source"]) == ("source_delay", source)
     assert f"time_offset: {-ahead:.1f} (GPS time" in cause["remedy"]
+
+
+def test_a_playback_at_another_rate_that_was_recorded_is_plausible(tmp_path: Path) -> None:
+    def change(name: str, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        columns = columns[len(columns) // 2 :] if name == "gnss" else columns
+        return columns, 100.0 + columns[:, 0] / 2.0
+
+    bag = import_drive(write_received(tmp_path, change))
+    assert json_of(tmp_path, "check", bag)["causes"] == []
 
 
 def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.setup_check.count_angle import angle_of_count
+from trackslip_estimation.setup_check.delay import LARGEST_DELAY
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -61,8 +62,15 @@ class Collector:
             stamps, values = zip(*parts, strict=True)
             columns[key] = np.concatenate(stamps), np.concatenate(values)
         log = log_of_columns(columns, self.parameters)
-        delays = {name: float(np.median(np.concatenate(d))) * 1e-9 for name, d in self.arrival_delays.items()}
-        return None if log is None else replace(log, arrival_delays=delays)
+        delays = {name: np.concatenate(parts) * 1e-9 for name, parts in self.arrival_delays.items()}
+        steady = {name: float(np.median(d)) for name, d in delays.items() if _is_steady(d)}
+        return None if log is None else replace(log, arrival_delays=steady)
+
+
+def _is_steady(delays: FloatArray) -> bool:
+    """Whether delays (n,), s, hardly change; those of a recorded playback at another rate do."""
+    low, high = np.quantile(delays, (0.05, 0.95))
+    return bool(high - low < LARGEST_DELAY)
 
 
 def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
