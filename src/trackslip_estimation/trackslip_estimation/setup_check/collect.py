@@ -62,15 +62,15 @@ class Collector:
             stamps, values = zip(*parts, strict=True)
             columns[key] = np.concatenate(stamps), np.concatenate(values)
         log = log_of_columns(columns, self.parameters)
-        delays = {name: np.concatenate(parts) * 1e-9 for name, parts in self.arrival_delays.items()}
-        steady = {name: float(np.median(d)) for name, d in delays.items() if _is_steady(d)}
+        delays = {name: np.concatenate(parts) for name, parts in self.arrival_delays.items()}
+        steady = {name: float(np.median(d)) * 1e-9 for name, d in delays.items() if _is_steady(d)}
         return None if log is None else replace(log, arrival_delays=steady)
 
 
-def _is_steady(delays: FloatArray) -> bool:
-    """Whether delays (n,), s, hardly change; those of a recorded playback at another rate do."""
-    low, high = np.quantile(delays, (0.05, 0.95))
-    return bool(high - low < LARGEST_DELAY)
+def _is_steady(delays_ns: NDArray[np.int64]) -> bool:
+    """Whether delays (n,) hardly change; those of a recorded playback at another rate do."""
+    low, high = np.quantile(delays_ns, (0.05, 0.95))
+    return bool(high - low < LARGEST_DELAY * 1e9)
 
 
 def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
