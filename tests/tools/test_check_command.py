@@ -175,6 +175,16 @@ def test_a_clock_that_is_set_back_while_it_records_is_named(healthy: Path, tmp_p
     assert f"--stop {(middle_ns - bag.start_ns) * 1e-9 - 3.0:.0f}" in cause["remedy"]
 
 
+def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:
+    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+        messages = list(bag.messages())
+        for k in range(0, len(messages) - 50, 500):
+            messages[k : k + 50] = reversed(messages[k : k + 50])
+        for m in messages:
+            writer.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+    assert json_of(tmp_path, "check", tmp_path / "bag")["causes"] == []
+
+
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:
     result = json_of(tmp_path, "check", swapped, code=ExitCode.FAILED)
     assert result["plausible"] is False

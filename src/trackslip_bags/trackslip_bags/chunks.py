@@ -55,7 +55,7 @@ class Stretch(NamedTuple):
     log_times_ns: IntArray  # (n,)
     starts: IntArray  # (n,) of the contents, in the buffer
     lengths: IntArray  # (n,) of the contents, bytes
-    passed_twice: Span | None = None  # None: no log times, or the order written is unknown
+    passed_twice: Span | None = None  # the longest; None: no log times, or the order written is unknown
 
 
 def read_stretches(
@@ -163,11 +163,14 @@ def _merge_chunks(parts: deque[FileChunk], start_ns: int, stop_ns: int) -> Itera
 
 
 def _passed_twice(rows: MessageRows) -> Span | None:
-    """Log times that messages of one topic pass twice in the order written."""
+    """Log times of the longest step back of one topic in the order written."""
     order = np.lexsort((rows.written[:, 1], rows.written[:, 0], rows.topics))
     topics, times = rows.topics[order], rows.log_times_ns[order]
-    back = np.flatnonzero((np.diff(topics) == 0) & (np.diff(times) < 0))
-    return Span(int(times[back + 1].min()), int(times[back].max())) if back.size else None
+    steps = np.where(np.diff(topics) == 0, np.diff(times), 0)
+    if steps.min(initial=0) == 0:
+        return None
+    k = int(steps.argmin())
+    return Span(int(times[k + 1]), int(times[k]))
 
 
 def _copy_messages(buffer: Bytes, rows: MessageRows) -> tuple[Bytes, MessageRows]:

@@ -63,6 +63,7 @@ from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 
+_ADJACENT_NS = 500_000_000  # between two spans: a slow topic has no message at their border
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # the bag holds only their lines in the journal
 
 
@@ -114,7 +115,7 @@ class InputStream:
         self.rejected, self._frames = Tally(), p.frames_of_sources()
         self.withholding = Withholding(filters, bag.start_ns)
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
-        self.passed_twice: Span | None = None  # so far
+        self.passed_twice: Span | None = None  # the longest so far
 
     @property
     def topics(self) -> frozenset[str]:
@@ -224,10 +225,14 @@ class InputStream:
         return np.asarray(~lacks)
 
     def _extend_passed_twice(self, span: Span | None) -> None:
-        earlier = self.passed_twice
-        if span is not None and earlier is not None:
-            span = Span(min(earlier.begin_ns, span.begin_ns), max(earlier.end_ns, span.end_ns))
-        self.passed_twice = span or earlier
+        """Keep the longest span; those of two stretches that touch are one."""
+        longest = self.passed_twice
+        if span is None:
+            return
+        if longest is not None and span.begin_ns - longest.end_ns < _ADJACENT_NS:
+            span = Span(min(longest.begin_ns, span.begin_ns), max(longest.end_ns, span.end_ns))
+        if longest is None or span.end_ns - span.begin_ns > longest.end_ns - longest.begin_ns:
+            self.passed_twice = span
 
     def _extend_duration(self, stamps_ns: IntArray, name: str) -> None:
         if len(stamps_ns) and name != SET_POSE:  # a manual pose may lack a stamp
