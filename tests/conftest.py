@@ -37,7 +37,7 @@ MS = 1_000_000
 
 gc.set_threshold(50_000)  # with Python's own a worker looks for garbage for a twelfth of its time
 
-settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=100)
+settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=30)
 settings.register_profile(  # make fuzz
     "fuzz",
     max_examples=int(os.environ.get("RUNS") or 10_000),

@@ -150,8 +150,8 @@ def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(program
         observer.wait(is_refused, f"{count} to be refused")
         return resident_bytes(program.process.pid)
 
-    few, many = publish_until(3), publish_until(30)
-    assert many - few < 8 * TEN_MEGABYTES  # scans that wait or miss pieces
+    few, many = publish_until(3), publish_until(12)
+    assert many - few < 4 * TEN_MEGABYTES  # scans that wait or miss pieces
     observer.wait(lambda: last_of(healths, "box_localizer: inputs"), "its inputs")
     inputs = last_of(healths, "box_localizer: inputs")
     assert (inputs.level, inputs.message) == (ERROR, "several publishers of scan")

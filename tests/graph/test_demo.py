@@ -99,12 +99,6 @@ def test_demo_refuses(arguments, words, tmp_path, capsys):
     assert not (tmp_path / "demo").exists()
 
 
-def test_the_program_itself_refuses_with_one_line(programs):
-    program = demo(programs, "--soil", "cheese")
-    assert program.wait() == ExitCode.BAD_INPUT
-    assert len(program.stderr.splitlines()) == 1
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_demo_with_unwritable_output_ends_with_one_line(programs, tmp_path):
@@ -157,21 +151,21 @@ def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
     assert not (programs.folder / "demo" / "dev").exists()
 
 
-@pytest.mark.parametrize("library", ["multiarray", "_rclpy_pybind11"])
-def test_ctrl_c_while_the_demo_loads(programs, library):
+def test_ctrl_c_while_the_demo_loads(programs):
     program = demo(programs)
-    program.until(lambda: program.has_loaded(library), f"the demo to load {library}")
+    program.until(lambda: program.has_loaded("multiarray"), "the demo to load numpy")
     assert_ends_quietly(programs, program)
 
 
-@pytest.mark.parametrize("log", ["emulator.log", "record.log"])
-def test_ctrl_c_before_the_nodes_are_up(programs, log):
+def test_ctrl_c_before_the_nodes_are_up(programs):
     program = demo(programs)
-    program.until((programs.folder / "demo" / log).exists, f"{log} to be there")
+    program.until((programs.folder / "demo" / "record.log").exists, "record.log to be there")
     assert_ends_quietly(programs, program)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)], ids=lambda n: n.name
+)
 def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
     program = demo(programs, "--duration", "60", "--no-live")
     wait_for_drive(observer)

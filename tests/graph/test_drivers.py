@@ -192,6 +192,7 @@ def test_watson_over_range_is_reported(programs, observer, device):
     )
 
 
+@pytest.mark.slow
 def test_two_watsons_run_side_by_side(programs, observer, device):
     """Each unit has its own name, port, frame, topic and hardware id."""
     healths, messages = observer.healths(), {}
@@ -229,6 +230,7 @@ def test_can(bench, programs, observer):
     assert_stamped(hydraulics, stamp_ns_of(messages[0]))
 
 
+@pytest.mark.slow
 def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, observer, device, udp_port):
     """A short halt, as on a busy machine; the driver continues."""
     bench["can_driver"] = (partial(device, plug_halting, plug_can, udp_port), bench["can_driver"][1])
@@ -245,7 +247,9 @@ def test_briefly_unusable_frames_are_no_fault(bench, programs, observer, device,
     assert "none is usable" not in "".join(line for line in program.stderr.splitlines() if "[ERROR]" in line)
 
 
-@pytest.mark.parametrize("node", TOPIC)
+@pytest.mark.parametrize(
+    "node", ["watson_imu", "can_driver", pytest.param("sick_pls", marks=pytest.mark.slow)]
+)
 def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     make, parameters = bench[node]
     powered = make()
@@ -283,7 +287,9 @@ def reconnects(status):
     return int(values_of(status).get("reconnects", 0))
 
 
-@pytest.mark.parametrize("node", TOPIC)
+@pytest.mark.parametrize(
+    "node", ["sick_pls", *(pytest.param(n, marks=pytest.mark.slow) for n in ("watson_imu", "can_driver"))]
+)
 def test_lifecycle(bench, programs, observer, node):
     make, parameters = bench[node]
     make().plug()
@@ -318,7 +324,7 @@ def test_lifecycle(bench, programs, observer, node):
     assert "Traceback" not in program.stderr
 
 
-@pytest.mark.parametrize("priority", [7, 0])
+@pytest.mark.parametrize("priority", [7, pytest.param(0, marks=pytest.mark.slow)])
 def test_realtime_priority(bench, programs, observer, priority):
     """All threads of the process have the priority, or the node reports that the host refuses it."""
     program = programs.node("can_driver", **bench["can_driver"][1], realtime_priority=priority)

@@ -118,7 +118,7 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
 
     assert graph.ask(Trigger, "reset", Trigger.Request()).success
     assert graph.feed("sprockets", sprockets(1420, SPEED)) == R.WAITING
-    graph.drive(1600, 6000)
+    graph.drive(1600, 4000)
     outcomes = [
         graph.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
     ]  # the stamps start again, as in a repeated bag

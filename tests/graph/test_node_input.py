@@ -79,10 +79,14 @@ def assert_refused(domain, tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_unknown_parameter(programs, node):
-    program = programs.node(node, nonsense=1)
+def test_unknown_parameter(assert_refused, node):
+    assert_refused(node, ros_arguments(nonsense=1), node, "'nonsense'", "accepted: ")
+
+
+def test_process_of_a_node_ends_with_the_exit_code_and_the_line(programs):
+    program = programs.node("can_driver", nonsense=1)
     assert program.wait() == ExitCode.BAD_INPUT
-    assert_one_line(program.stdout, program.stderr, node, "'nonsense'", "accepted: ")
+    assert_one_line(program.stdout, program.stderr, "can_driver", "'nonsense'", "accepted: ")
 
 
 @pytest.mark.parametrize(
@@ -109,14 +113,17 @@ def test_unknown_parameter_in_a_file(assert_refused, tmp_path):
     assert_refused("watson_imu", ros_arguments("--params-file", "one.yaml"), "'nonsense'", "serial_port")
 
 
-def test_parameter_files_of_the_project_are_accepted(programs, observer):
-    """A node accepts a file of parameters, relative to its working directory."""
+def test_renamed_node_takes_its_parameters_from_a_common_file(programs, observer):
+    """The path is relative to the working directory; parameters of other nodes are ignored."""
+    values = "vehicle: excavator_20t, jump_confirmations: 7, serial_port: /dev/x, output: bag"
     config = programs.folder / "mine.yaml"
-    config.write_text("/**: {ros__parameters: {vehicle: {kinematics: {tread: 0.8}}}}", encoding="utf-8")
-    texts = observer.subscribe("slip_estimator/parameters")
-    programs.node("slip_estimator", "--params-file", "mine.yaml")
-    observer.wait(lambda: texts, "the parameters in use")
-    assert "vehicle.kinematics.tread: 0.8" in texts[0].data
+    config.write_text(f"/**: {{ros__parameters: {{{values}}}}}", encoding="utf-8")
+    texts, vehicle = observer.subscribe("slip_estimator/parameters"), observer.subscribe("vehicle")
+    programs.node("slip_estimator", "-r", "__node:=second", "--params-file", "mine.yaml")
+    observer.wait(lambda: texts and vehicle, "the parameters in use")
+    assert texts[0].data.startswith("slip_estimator:")
+    assert "jump_confirmations: 7" in texts[0].data
+    assert parse_vehicle(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
 
 
 def test_recorder_keeps_existing_files(assert_refused, tmp_path):
@@ -130,11 +137,13 @@ def test_recorder_that_cannot_write(assert_refused, tmp_path):
     assert_refused("record", ros_arguments(output="file/bag"), "'file/bag'")
 
 
-@pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize(
-    "number",
-    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
-    ids=lambda number: number.name,
+    ("node", "number"),
+    [
+        ("emulator", signal.SIGINT),
+        ("slip_estimator", signal.SIGTERM),
+        *(pytest.param(node, signal.SIGINT, marks=pytest.mark.slow) for node in NODES if node != "emulator"),
+    ],
 )
 def test_running_node_ends_quietly(programs, observer, node, number):
     parameters = QUICK.get(node, {})
@@ -151,7 +160,10 @@ def test_running_node_ends_quietly(programs, observer, node, number):
     assert not (programs.folder / "dev" / "watson").is_symlink()
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize(
+    "node",
+    ["slip_estimator", *(pytest.param(n, marks=pytest.mark.slow) for n in NODES if n != "slip_estimator")],
+)
 @pytest.mark.parametrize("moment", ["_rclpy_pybind11", "typesupport"])
 def test_ctrl_c_while_a_node_starts(programs, node, moment):
     program = programs.node(node, autostart=True)
@@ -187,25 +199,6 @@ sys.exit(run(make_node, []))
 def test_ctrl_c_lost_in_the_compiler_ends_the_node_quietly():
     done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_renamed_node_keeps_the_defaults_of_its_kind(programs, observer):
-    texts = observer.subscribe("slip_estimator/parameters")
-    programs.node("slip_estimator", "-r", "__node:=second")
-    observer.wait(lambda: texts, "its parameters")
-    assert texts[0].data.startswith("slip_estimator:")
-
-
-def test_parameters_of_other_nodes_in_a_common_section_are_ignored(programs, observer, tmp_path):
-    config = tmp_path / "all.yaml"
-    values = f"vehicle: excavator_20t, serial_port: /dev/x, output: {tmp_path / 'bag'}"
-    config.write_text(f"/**: {{ros__parameters: {{{values}}}}}", encoding="utf-8")
-    vehicle = observer.subscribe("vehicle")
-    for node in ("slip_estimator", "record"):
-        programs.node(node, "--params-file", str(config))
-    observer.wait_until_active("slip_estimator", "record")
-    observer.wait(lambda: vehicle, "the vehicle")
-    assert parse_vehicle(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
 
 
 def test_soil_estimator_without_hydraulics_names_the_missing_groups(programs, observer):

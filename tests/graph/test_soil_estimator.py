@@ -92,7 +92,7 @@ def inputs():
     return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
 
 
-def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observer, inputs):
+def test_node_publishes_the_outputs_of_the_estimator_and_takes_new_limits(real_time, programs, observer, inputs):
     node = SoilNode(programs, observer)
     outputs = node.feed(inputs, SoilEstimator(load_soil_parameters()))
     assert len(node.forces) == len(outputs) > 90
@@ -104,8 +104,16 @@ def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observ
     assert node.soils[-1].header.frame_id == "base_link"
     assert sum(node.soils[-1].class_probabilities) == pytest.approx(1.0)
     node.until_reported(DiagnosticStatus.OK, "running")
+    for name, value, accepted in (
+        ("stuck_time", 2.0, True),
+        ("high_slip", 2.0, False),
+        ("vehicle.mass.mass", 1.0, False),
+    ):
+        (result,) = observer.set_parameters("soil_estimator", **{name: value})
+        assert result.successful is accepted, name
 
 
+@pytest.mark.slow
 def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, inputs):
     """Resistances equal those of the estimator with a swing, and differ from those without."""
     node = SoilNode(programs, observer, vehicle="pc05_cab")
@@ -148,14 +156,3 @@ def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, obse
     code, _ = node.program.end(signal.SIGINT)
     assert code == 0
     assert node.program.stderr.count("Traceback") == 0
-
-
-def test_only_the_limits_of_the_warning_change_at_run_time(programs, observer):
-    SoilNode(programs, observer)
-    for name, value, accepted in (
-        ("stuck_time", 2.0, True),
-        ("high_slip", 2.0, False),
-        ("vehicle.mass.mass", 1.0, False),
-    ):
-        (result,) = observer.set_parameters("soil_estimator", **{name: value})
-        assert result.successful is accepted, name

@@ -61,7 +61,7 @@ def fixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("fixed") / "bag", [])
 
 
-@pytest.mark.parametrize("use_attitude", [False, True])
+@pytest.mark.parametrize("use_attitude", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_errors_with_rtk_and_heading_stay_within_their_bars(fixed: Path, use_attitude: bool) -> None:
     """A tilt error displaces an antenna at 3 m height; the error with a 12 Hz inertial unit is 26 mm."""
     ground = {"use_attitude": use_attitude, "attitude.unknown_slope": 0.0}  # it is level, and known to be
@@ -72,6 +72,7 @@ def test_errors_with_rtk_and_heading_stay_within_their_bars(fixed: Path, use_att
     assert "gnss_pose" not in summary["rejected"]
 
 
+@pytest.mark.slow
 def test_velocities_of_the_receiver_keep_the_bars(fixed: Path) -> None:
     summary = replayed(fixed, **{"sources.heading.offset": OFFSET, "velocity_sources": ["fix_velocity"]})
     assert summary["messages"]["fix_velocity"] > 300
@@ -164,7 +165,7 @@ def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kin
     np.testing.assert_array_equal(headings["noise"][:, 0, 0], [m.variance for m in expected])
 
 
-@pytest.mark.parametrize("kind", ["imu", "quaternion"])
+@pytest.mark.parametrize("kind", ["imu", pytest.param("quaternion", marks=pytest.mark.slow)])
 def test_calibration_uses_the_heading_source(fixed: Path, tmp_path: Path, kind: str) -> None:
     """Fixes of one antenna have no heading; without headings the gyro scale is not observable."""
     path = fixed if kind == "imu" else _with_quaternions(fixed, tmp_path / "bag")

@@ -201,7 +201,7 @@ def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(filter_: str
         assert getattr(row, f"{name}_rmse") == pytest.approx(getattr(row, f"{name}_bound"), rel=0.25)
 
 
-@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+@pytest.mark.parametrize("filter_", [pytest.param("ekf", marks=pytest.mark.slow), "daf"])
 def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyParameters) -> None:
     """Entries of a record beyond the model's state have no variance and stay zero."""
     bench = make_bench(p, load_slip_parameters({"model": "free_slips"}))

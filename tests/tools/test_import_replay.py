@@ -93,6 +93,7 @@ def test_figures_on_the_page_on_imports_are_those_of_a_replay(summary: dict[str,
         assert float(figures[name][1]) == pytest.approx(summary["rmse"][key], abs=5e-4), name
 
 
+@pytest.mark.slow
 def test_a_log_of_ros_1_gives_the_same(ros1_log: Path, summary: dict[str, Any], tmp_path: Path) -> None:
     of_ros_1 = replayed(imported(tmp_path, ros1_log, mapping()))
     for key in ("messages", "rejected", "final", "rmse", "nees", "nees_position"):
@@ -125,7 +126,7 @@ def test_machine_with_gnss_is_imported_and_replayed(
     assert np.sqrt(np.mean(np.square(errors))) < 0.06  # includes the noise of the fix that sets the datum
 
 
-@pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
+@pytest.mark.parametrize("topic", [pytest.param("/gps/heading", marks=pytest.mark.slow), "/gps/quaternion"])
 @pytest.mark.parametrize("write", [pytest.param(write_ros1, marks=pytest.mark.slow), write_ros2])
 def test_heading_of_two_antennas_is_imported_from_a_bag(write: Any, topic: str, tmp_path: Path) -> None:
     """RTK on another robot, with the mapping of the documentation page."""

@@ -128,15 +128,10 @@ def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints
     assert complaints == []
 
 
-def test_one_finger_over_a_plot_scrolls_the_page(opened: Any, complaints: list[str]) -> None:
+def test_fingers_scroll_and_buttons_zoom_and_choose_the_time(opened: Any, complaints: list[str]) -> None:
     page = opened(390)
     for plot in ("#path", "#strip-0"):
         scroll_with_a_finger(page, plot)
-    assert complaints == []
-
-
-def test_buttons_zoom_and_choose_the_time(opened: Any, complaints: list[str]) -> None:
-    page = opened(390)
     path = "(({start, end}) => end - start)(Bokeh.documents[0].get_model_by_name('path').x_range)"
     page.locator("#wider").tap()
     page.locator("#wider").tap()
@@ -152,26 +147,22 @@ def test_buttons_zoom_and_choose_the_time(opened: Any, complaints: list[str]) ->
     assert complaints == []
 
 
-def test_names_and_reasons_that_look_like_html_are_text(opened: Any, complaints: list[str]) -> None:
+def test_a_silent_light_turns_and_names_that_look_like_html_are_text(
+    opened: Any, machine: Machine, complaints: list[str]
+) -> None:
     page = opened(1440)
-    follows(page, 8)
-    assert EVIL in page.locator("#lights").inner_text()
-    assert EVIL in page.locator("#events").inner_text()
-    assert EVIL in page.locator("#classes").inner_text()
-    assert EVIL in page.locator("#source").inner_text()
-    assert page.title() == f"Trackslip: {EVIL}"
-    assert page.locator("img").count() == 0
-    assert complaints == []
-
-
-def test_the_light_of_a_node_that_ends_turns(opened: Any, machine: Machine, complaints: list[str]) -> None:
-    page = opened(1024)
     page.wait_for_selector(".light.ok >> text=can_driver")
     machine.quiet.add("can_driver")
     page.wait_for_selector(".light.silent >> text=can_driver")
     page.wait_for_selector("#events .silent >> text=can_driver")
     machine.quiet.clear()
     page.wait_for_selector(".light.ok >> text=can_driver")
+    assert EVIL in page.locator("#lights").inner_text()
+    assert EVIL in page.locator("#events").inner_text()
+    assert EVIL in page.locator("#classes").inner_text()
+    assert EVIL in page.locator("#source").inner_text()
+    assert page.title() == f"Trackslip: {EVIL}"
+    assert page.locator("img").count() == 0
     assert complaints == []
 
 
@@ -201,6 +192,7 @@ def test_page_is_grey_without_its_server_and_reconnects(
         machine.stop = lambda: None  # type: ignore[method-assign]  # it has ended already
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [{}, {"number": 1e9}], ids=["nothing", "frames that cannot be shown"])
 def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
     sent: dict[str, Any], opened: Any, machine: Machine
@@ -214,6 +206,7 @@ def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
     assert not is_grey(page)
 
 
+@pytest.mark.slow
 def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, complaints: list[str]) -> None:
     page = opened(390)
     follows(page, 20)
@@ -236,6 +229,7 @@ def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, com
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_page_that_found_no_description_asks_again(open_page: OpenPage, machine: Machine) -> None:
     page = open_page(390, machine.server.address)
     page.route("**/page.json", lambda route: route.abort(), times=2)

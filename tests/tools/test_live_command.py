@@ -34,7 +34,9 @@ BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
     [
         ([str(BAG), "--origin", "http://digger.local"], "http://digger.local"),
         ([str(BAG), "--port", "70000"], "70000"),
-        ([str(BAG), "--host", "no.such.host.invalid"], "no.such.host.invalid"),
+        pytest.param(
+            [str(BAG), "--host", "no.such.host.invalid"], "no.such.host.invalid", marks=pytest.mark.slow
+        ),
         ([str(BAG), "--rate", "0"], "'0'"),
         (["--rate", "2"], "BAG"),
         (["--vehicle", "pc05"], "--vehicle"),

@@ -134,6 +134,7 @@ def test_every_plot_is_drawn_without_a_complaint(page: Any, complaints: list[str
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(page: Any, complaints: list[str]) -> None:
     whole = shown_range(page, "time-0")
     for _ in range(5):  # on a busy machine the layout may still move the plot
@@ -158,6 +159,7 @@ def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(page: Any, comp
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(page: Any, complaints: list[str]) -> None:
     x, y, _ = middle(page, 3)
     page.mouse.move(x, y, steps=3)
@@ -185,6 +187,7 @@ def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(page: Any, c
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_light_and_dark(page: Any, complaints: list[str]) -> None:
     title = "Bokeh.documents[0].get_model_by_name('path').title.text_color"
     light = page.evaluate(title)
@@ -247,6 +250,7 @@ def test_one_finger_scrolls_a_button_zooms_and_a_tap_chooses_the_moment(
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_the_first_swipe_after_a_mouse_scrolls_too(opened_on_tablet: Any, complaints: list[str]) -> None:
     """The tools of the mouse do not capture the first swipe."""
     page = opened_on_tablet

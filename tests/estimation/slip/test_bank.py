@@ -31,7 +31,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
 
 S = 1_000_000_000
-SENSOR_AND_FIX_RATES = [(20, FIXES), (100, 1), (100, 10)]  # Hz
+SENSOR_AND_FIX_RATES = [(20, FIXES), pytest.param(100, 1, marks=pytest.mark.slow)]  # Hz
 
 
 def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:
@@ -116,7 +116,7 @@ def events(estimator: SlipEstimator) -> list[Event]:
     return [Event(branch["history"][n % 16]["event"]) for n in range(int(branch["events"]))]
 
 
-@pytest.mark.parametrize("size", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("size", [0.5, 3.0])
 def test_multipath_does_not_move_the_estimate(size: float) -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     displaced = changed(recording, lambda m, t: moved(m, 0.8 * size, 0.6 * size) if 20.0 <= t < 30.0 else m)
@@ -172,7 +172,7 @@ def test_covariance_spans_both_explanations_of_a_jump() -> None:
             assert np.hypot(*off) < 0.15
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_gaussian_fixes_cause_no_event(seed: int) -> None:
     recording = drive(Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
     error, nees, estimator = errors(recording.measurements, recording, parameters(**GNSS))
@@ -181,7 +181,7 @@ def test_gaussian_fixes_cause_no_event(seed: int) -> None:
     assert error.max() < 0.1
 
 
-@pytest.mark.parametrize("turned", [math.pi / 2.0, math.pi, -2.0])
+@pytest.mark.parametrize("turned", [math.pi, -2.0])
 def test_a_wrong_start_heading_is_found_within_metres(turned: float) -> None:
     recording = drive(Machine(duration=40.0))
     p = parameters(**GNSS, start="first_fix", initial_yaw=turned)
@@ -205,7 +205,7 @@ def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
 @pytest.mark.parametrize("heading_noise", [10.0, 0.02])  # rad; of one antenna, and of two
 def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> None:
     """The displacement of the fixes grows within 6 s, lasts for 10 s, and ends."""
-    rms, nees = np.median([off_evenly(part, heading_noise) for part in range(12)], axis=0)
+    rms, nees = np.median([off_evenly(part, heading_noise) for part in range(0, 12, 3)], axis=0)
     assert rms < 0.18
     assert nees < 3.5
 
@@ -261,7 +261,7 @@ def test_first_fix_that_is_an_outlier_is_detected_by_the_next_ones() -> None:
     assert error[error.size // 6 :].max() < 0.1
 
 
-@pytest.mark.parametrize("far", [8.0, 50.0, 500.0, 5000.0])
+@pytest.mark.parametrize("far", [8.0, 5000.0])
 @pytest.mark.parametrize("knows_heading", [True, False])
 def test_first_fix_far_off_has_no_effect_after_7_seconds(far: float, knows_heading: bool) -> None:
     recording = drive(Machine(duration=20.0, fix_noise=0.03, fix_stated=0.03))
@@ -272,8 +272,8 @@ def test_first_fix_far_off_has_no_effect_after_7_seconds(far: float, knows_headi
     assert np.mean(nees[150:] > 13.8) < 0.05
 
 
-@pytest.mark.parametrize("far", [50.0, 1000.0])
-def test_moved_machine_is_found_at_any_distance(far: float) -> None:
+def test_moved_machine_is_found_at_any_distance() -> None:
+    far = 1000.0  # m
     recording = drive(Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     given = changed(recording, lambda m, t: moved(m, far, 0.0) if t >= 20.0 else m)
     there = recording._replace(poses=recording.poses + np.where(recording.t[:, None] >= 20.0, (far, 0, 0), 0))
@@ -314,10 +314,9 @@ def test_skidding_machine_follows_centimetre_fixes_within_two_seconds() -> None:
     assert np.mean(nees > 13.8) < 0.03
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_centimetre_fixes_off_for_ten_seconds_are_no_certain_skid(seed: int) -> None:
+def test_centimetre_fixes_off_for_ten_seconds_are_no_certain_skid() -> None:
     """A jump of 0.3 m between two fixes may be a skid or a fault of the receiver."""
-    machine = Machine(duration=50.0, track_error=0.1, fix_noise=0.02, fix_stated=0.02, fix_rate=1, seed=seed)
+    machine = Machine(duration=50.0, track_error=0.1, fix_noise=0.02, fix_stated=0.02, fix_rate=1)
     recording = drive(machine)
     off = changed(recording, lambda m, t: moved(m, 0.24, 0.18) if 20.0 <= t < 30.0 else m)
     _, nees, _ = errors(off, recording, parameters(**GNSS))
@@ -378,10 +377,9 @@ def test_estimate_follows_fixes_while_every_other_count_is_lost(fastest: float) 
     assert happened == [Event.FAILED, Event.RECOVERED]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_encoder_that_fails_is_found_beside_a_compass_at_20_hz(seed: int) -> None:
+def test_encoder_that_fails_is_found_beside_a_compass_at_20_hz() -> None:
     """Headings between two fixes must not shorten the time before now at which an event is looked for."""
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1)
     recording = drive(machine)
     broken = [
         replace(m, right_speed=-m.right_speed)
@@ -395,10 +393,9 @@ def test_encoder_that_fails_is_found_beside_a_compass_at_20_hz(seed: int) -> Non
     assert np.mean(nees > 13.8) < 0.05
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("factor", [-1.0, 0.0])
-def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
+def test_compass_shows_that_the_gyro_fails(factor: float) -> None:
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1)
     recording = drive(replace(machine, sensor_rate=100))
     fails = range(21 * S, 36 * S)
     broken = [
@@ -412,16 +409,15 @@ def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
     assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
 
 
-@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
     ("scale", "bias"), [(-1.0, 0.0), (0.0, 0.0), (1.0, 0.03)], ids=["reversed", "0", "biased"]
 )
-@pytest.mark.parametrize(("sensor_rate", "rate"), [(20, 5), (20, 10), (100, 5)])
+@pytest.mark.parametrize(("sensor_rate", "rate"), [(20, 10), (100, 5)])
 def test_pair_of_antennas_shows_that_the_gyro_fails(
-    sensor_rate: int, rate: int, scale: float, bias: float, seed: int
+    sensor_rate: int, rate: int, scale: float, bias: float
 ) -> None:
     """Each fix agrees with the position: it must not hide that the headings since the last one did not."""
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed)
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03)
     recording = drive(replace(machine, sensor_rate=sensor_rate, fix_rate=rate))
     fails = range(22 * S, 34 * S)
     broken = [
@@ -436,13 +432,12 @@ def test_pair_of_antennas_shows_that_the_gyro_fails(
     assert np.abs(heading_errors(measurements, recording, p)).max() < 0.35
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("fix_rate", [1, 5])
 @pytest.mark.parametrize("fault", ["stays", "counts backward", "drifts"])
-def test_wrong_compass_is_found_without_a_gyro(fault: str, fix_rate: int, seed: int) -> None:
+def test_wrong_compass_is_found_without_a_gyro(fault: str, fix_rate: int) -> None:
     """Its error changes as fast as the machine turns."""
     machine = Machine(
-        duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate, seed=seed
+        duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate, seed=1
     )
     recording = drive(machine)
     tracks: list[Measurement] = [m for m in recording.measurements if not isinstance(m, YawRate)]
@@ -464,25 +459,23 @@ def test_wrong_compass_is_found_without_a_gyro(fault: str, fix_rate: int, seed: 
     assert np.mean(nees > 13.8) < 0.05
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("rate", [5, 10])
 @pytest.mark.parametrize(
     "factors", [(1.0, -1.0), (0.0, 0.0), (0.0, 1.0)], ids=["right reversed", "both 0", "left 0"]
 )
 def test_failed_encoders_are_found_beside_velocities_of_a_receiver(
-    factors: tuple[float, float], rate: int, seed: int
+    factors: tuple[float, float],
 ) -> None:
     """Velocities and fixes that agree with each other must win against the tracks."""
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1)
     recording = drive(machine)
     broken = with_scaled_sprockets(recording, factors, 20.0, 32.0)
     p = parameters(**GNSS, velocity_sources=["fix_velocity"])
-    error, nees, _ = errors(with_velocities(recording, broken, rate), recording, p)
+    error, nees, _ = errors(with_velocities(recording, broken, 5), recording, p)
     assert np.sqrt(np.mean(error**2)) < 0.3
     assert np.mean(nees > 13.8) < 0.05
 
 
-@pytest.mark.parametrize("fix_rate", [1, 5])
+@pytest.mark.parametrize("fix_rate", [1])
 def test_sprockets_that_show_zero_recover_only_when_they_show_a_motion(fix_rate: int) -> None:
     """Encoders show 0 from 20 s on; the machine halts at 30 s, where they are right by chance, until 45 s."""
     machine = Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=fix_rate)
@@ -514,7 +507,7 @@ def test_failed_encoders_are_found_before_the_heading_is_known(
     assert error[t > 26.0].max() < 0.2
 
 
-@pytest.mark.parametrize("fix_rate", [1, 2, 5, 10])
+@pytest.mark.parametrize("fix_rate", [1, 10])
 def test_lost_counts_beside_fixes_at_any_rate_keep_the_estimate_consistent(fix_rate: int) -> None:
     """The cost of an implausible slip must not depend on the number of fixes."""
     machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=fix_rate)
@@ -534,7 +527,7 @@ def test_lost_counts_beside_fixes_at_any_rate_keep_the_estimate_consistent(fix_r
     assert np.sqrt(np.mean(squares)) < 0.3
 
 
-@pytest.mark.parametrize("share", [0.45, 0.5])
+@pytest.mark.parametrize("share", [0.45])
 def test_lost_counts_beside_fixes_with_headings_keep_the_estimate_consistent(share: float) -> None:
     """The explanation of lost counts must win against a wandering receiver with slip."""
     machine = Machine(seed=9, fix_rate=5, heading_noise=0.01, track_error=0.1, gyro_noise=0.002)
@@ -561,14 +554,13 @@ def test_motion_is_unknown_while_counts_are_lost() -> None:
     assert estimator.competing_explanations.explanations[0].text == "sprockets count half of the distance"
 
 
-@pytest.mark.parametrize("seed", [0, 2, 3])
 @pytest.mark.parametrize(("factor", "most"), [(-1.0, 0.2), (0.5, 0.35)])  # most: rad, of the heading error
 @pytest.mark.parametrize(("sensor_rate", "fix_rate"), SENSOR_AND_FIX_RATES)
 def test_failing_gyro_does_not_turn_the_estimate(
-    seed: int, factor: float, most: float, sensor_rate: int, fix_rate: int
+    factor: float, most: float, sensor_rate: int, fix_rate: int
 ) -> None:
     """The gyro turns the heading before fixes contradict it; the estimate must not keep that error."""
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed)
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03)
     recording = drive(replace(machine, sensor_rate=sensor_rate, fix_rate=fix_rate))
     broken = [
         replace(m, rate=factor * m.rate)
@@ -583,7 +575,7 @@ def test_failing_gyro_does_not_turn_the_estimate(
     assert np.abs(late).max() < most
 
 
-@pytest.mark.parametrize(("rate", "seed"), [(5, 1), (5, 2), (10, 0), (10, 2)])
+@pytest.mark.parametrize(("rate", "seed"), [(5, 1), (10, 0)])
 def test_change_of_gyro_bias_does_not_turn_the_estimate(rate: int, seed: int) -> None:
     """The bias turns the heading before fixes contradict it; wandering fixes are a competing explanation."""
     recording = drive(
@@ -600,7 +592,7 @@ def test_change_of_gyro_bias_does_not_turn_the_estimate(rate: int, seed: int) ->
 
 @pytest.mark.parametrize(
     ("turn", "rate", "noise", "track_error"),  # rad/s, 1/s, m, 1
-    [(0.25, FIXES, 0.03, 0.05), (0.3, FIXES, 0.03, 0.05), (0.25, 5, 0.02, 0.01), (0.25, 10, 0.02, 0.01)],
+    [(0.3, FIXES, 0.03, 0.05), (0.25, 10, 0.02, 0.01)],
 )
 def test_wandering_fixes_do_not_pull_the_estimate(
     turn: float, rate: int, noise: float, track_error: float
@@ -667,7 +659,7 @@ def faulty(seed: int) -> list[Measurement]:
     ]
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(st.integers(0, 50), st.randoms(use_true_random=False), st.floats(0.05, 1.2))
 def test_branches_do_not_depend_on_the_order_of_arrival(seed: int, random: Any, late_s: float) -> None:
     measurements = faulty(seed)
@@ -695,7 +687,7 @@ def test_empty_script_stays_finite_over_a_long_log_with_a_wandering_receiver() -
         assert block.window.status["divergences"][0] == 0
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_run_by_its_own_script_ends_in_the_best_branch(seed: int) -> None:
     """The final states are equal except for receiver errors, which follow the best branch of their time."""
     p = parameters(**GNSS, **{"receivers.white_odds": 1e3})

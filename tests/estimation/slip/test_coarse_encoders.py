@@ -24,7 +24,7 @@ from trackslip_estimation.slip.models.turning import EFFICIENCY
 
 S = 1_000_000_000
 END = 120.0  # s
-COUNTS = (16, 100, 1000)  # per turn of the sprocket
+COUNTS = (16, 1000)  # per turn of the sprocket
 KINEMATICS = parameters().vehicle.kinematics
 
 
@@ -118,7 +118,7 @@ def test_single_count_is_never_taken_for_a_jump(counts: int) -> None:
 @pytest.mark.parametrize("counts", COUNTS)
 def test_gyro_keeps_the_heading_beside_a_coarse_encoder(counts: int) -> None:
     """Rounding of counts must not inflate the noise of the gyro."""
-    fine, coarse = (np.mean([run(n, seed=seed)[:3] for seed in range(4)], axis=0) for n in (100_000, counts))
+    fine, coarse = (np.mean([run(n, seed=seed)[:3] for seed in range(2)], axis=0) for n in (100_000, counts))
     half_a_count = KINEMATICS.rolling_radius * math.pi / counts
     assert coarse[0] < 1.5 * fine[0] + half_a_count
     assert coarse[1] < 1.5 * fine[1] + half_a_count / KINEMATICS.tread + 0.01
@@ -140,13 +140,13 @@ def test_coarse_counts_give_the_distance_without_fixes(counts: int) -> None:
 
 
 @pytest.mark.parametrize("beside", BESIDE)
-@pytest.mark.parametrize("counts", [16, 100])
-def test_velocity_and_odometry_improve_coarse_encoders_beside_a_gyro(counts: int, beside: str) -> None:
+def test_velocity_and_odometry_improve_coarse_encoders_beside_a_gyro(beside: str) -> None:
     """Gyro readings stay accepted beside either source."""
+    counts = 16
     half_a_count = KINEMATICS.rolling_radius * math.pi / counts
     for until in (END, 60.0):
         alone, both = (
-            np.mean([run(counts, seed=k, fixes_until=until, beside=b) for k in range(3)], axis=0)
+            np.mean([run(counts, seed=k, fixes_until=until, beside=b) for k in range(2)], axis=0)
             for b in ("", beside)
         )
         assert both[0] < 1.5 * alone[0] + half_a_count
@@ -166,7 +166,7 @@ def test_speeds_from_count_differences_equal_the_counts(counts: int, beside: str
         assert of_speeds == pytest.approx(of_counts, rel=0.02, abs=2e-4)
 
 
-@pytest.mark.parametrize("counts", [100, 1000, 12_288])
+@pytest.mark.parametrize("counts", [100, 12_288])
 def test_rounding_on_a_straight_leaves_the_turning_efficiency(counts: int) -> None:
     """The track speeds differ only by rounding; κ stays at its prior."""
     p = parameters(encoder_resolution=math.tau / counts)

@@ -66,7 +66,7 @@ def test_estimate_that_contains_the_whole_common_error_is_not_updated() -> None:
     assert cap(0.1, 1.0) == math.inf
 
 
-@pytest.mark.parametrize("walk", [0.0003, 0.001, 0.003, 0.01, 0.03])
+@pytest.mark.parametrize("walk", [0.0003, 0.003, 0.03])
 def test_position_error_is_near_that_of_the_fixes_and_within_its_covariance(walk: float) -> None:
     """``walk``: error of dead reckoning in a period, m."""
     rng = np.random.default_rng(1)
@@ -182,11 +182,11 @@ def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> Non
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0])
-@pytest.mark.parametrize("rate", [1, 5, 10])  # Hz
+@pytest.mark.parametrize("rate", [1, 10])  # Hz
 def test_time_correlated_errors_of_precise_fixes_keep_the_estimate_consistent(rate: int, size: float) -> None:
     """The errors have a correlation time of ten seconds, and once or twice the stated standard deviation."""
     nees = []
-    for seed in range(3):
+    for seed in range(2):
         recorded, noise = drive(Machine(duration=120.0, seed=seed)), np.random.default_rng(seed)
         every = round(1.0 / rate / (recorded.t[1] - recorded.t[0]))
         times = recorded.t[::every]
@@ -219,8 +219,8 @@ def estimated_errors(fixes: FloatArray, stddev: float, period: float) -> Any:
     return receiver[0]["errors"][quality_of(stddev, C)]
 
 
-@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("seed", range(1))
 def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
     fixes = math.sqrt(factor) * 0.9 * np.random.default_rng(seed).normal(size=(300, 2))
     errors = estimated_errors(fixes, 0.9, 1.0)
@@ -228,7 +228,7 @@ def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
     assert errors["f"] == pytest.approx(factor, rel=0.4)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 @pytest.mark.parametrize(("stddev", "time"), [(2.0, 30.0), (5.0, 10.0)])
 def test_large_time_correlated_errors_are_estimated(stddev: float, time: float, seed: int) -> None:
     t = np.arange(0.0, 900.0, 1.0)
@@ -239,7 +239,7 @@ def test_large_time_correlated_errors_are_estimated(stddev: float, time: float, 
     assert 0.3 < errors["time"] / time < 3.0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 @pytest.mark.parametrize("period", [0.1, 1.0])
 def test_errors_of_precise_fixes_count_as_white_until_shown_correlated(period: float, seed: int) -> None:
     noise, t = np.random.default_rng(seed), np.arange(0.0, 120.0, period)
@@ -251,7 +251,7 @@ def test_errors_of_precise_fixes_count_as_white_until_shown_correlated(period: f
     assert 0.2 < correlated["g"] * 0.02**2 / 0.04**2 < 5.0
 
 
-@pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])
+@pytest.mark.parametrize("jump", [0.5, 100.0])
 def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
     """Fixes after a jump of the machine must keep their weight."""
     fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
@@ -259,7 +259,7 @@ def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
     assert estimated_errors(fixes, 0.02, 0.1)["white"] > 0.9
 
 
-@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("seed", [2])
 @pytest.mark.parametrize("off", [1.0, math.pi])
 def test_wrong_start_heading_is_not_attributed_to_the_receiver(off: float, seed: int) -> None:
     """Fixes beside the predicted path must not count as time-correlated errors."""
@@ -272,7 +272,7 @@ def test_wrong_start_heading_is_not_attributed_to_the_receiver(off: float, seed:
     assert errors["white"] > 0.5
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.integers(0, 50), st.integers(0, 1000))
 def test_receiver_errors_do_not_depend_on_the_order_of_arrival(seed: int, order: int) -> None:
     random = np.random.default_rng(order)
@@ -290,7 +290,7 @@ def test_receiver_errors_do_not_depend_on_the_order_of_arrival(seed: int, order:
     assert one.tobytes() == other.tobytes()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_wandering_receiver_does_not_turn_the_estimate_of_gyro_and_tracks(seed: int) -> None:
     """The receiver states 0.9 m and wanders by 2.5 m within 20 s."""
     recording = drive(Machine(duration=240.0, track_error=0.02, seed=seed))

@@ -36,14 +36,13 @@ from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprocke
 from trackslip_estimation.slip.records import to_records
 
 EVENT = 20.0  # s
+EVERY = 4  # of the times of a sweep
 TWO_ANTENNAS, COMPASS = COMPASSES
-CLEAN = ("no harm: track error 5%, seed 0", "no harm: surge 30%, seed 0", "no harm: gyro scale 1.03, seed 0")
+CLEAN = ("no harm: track error 5%, seed 0", "no harm: gyro scale 1.03, seed 0")
 GROSS = (
-    "drawn: outliers 30% in 20 m",
     "drawn: all scattered from 29 s",
     "drawn: silence, then one wrong fix",
 )
-UNKNOWN = ("drawn: heading unknown", "drawn: heading unknown, outliers 20%")
 
 slow = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
@@ -147,8 +146,8 @@ def test_gross_outliers_are_rejected(name: str, baseline: dict[str, Score]) -> N
     assert score.live_equals_replay
 
 
-@pytest.mark.parametrize("name", UNKNOWN)
-def test_unknown_heading_is_found(name: str, baseline: dict[str, Score]) -> None:
+def test_unknown_heading_is_found(baseline: dict[str, Score]) -> None:
+    name = "drawn: heading unknown, outliers 20%"
     score = score_named(name)
     assert score.rmse <= 1.5 * baseline[name].rmse
     assert score.inconsistent <= 0.06
@@ -179,14 +178,13 @@ def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
     ("rate", "fault", "rmse", "largest"),
     [
         (1.0, "both encoders show 0 10 s", 0.3, 0.6),
-        (5.0, "both encoders show 0 10 s", 0.12, 0.2),
         (5.0, "left encoder frozen 10 s", 0.1, 0.2),
     ],
 )
 def test_fault_is_found_at_each_time_of_a_real_drive(
     rate: float, fault: str, rmse: float, largest: float
 ) -> None:
-    cell = sweep(Setting("marmotte", rate, fault))
+    cell = sweep(Setting("marmotte", rate, fault), EVERY)
     assert cell.median_rmse < rmse
     assert max(s.rmse for s in cell.scores.values()) < largest
     assert cell.inconsistent < 0.08
@@ -194,14 +192,14 @@ def test_fault_is_found_at_each_time_of_a_real_drive(
 
 @pytest.mark.skipif(not is_present("marmotte"), reason="no log of the tracked robot")
 def test_rejected_yaw_rates_show_at_once_that_the_tracks_are_swapped() -> None:
-    assert sweep(Setting("marmotte", 1.0, "tracks swapped 3 s")).inconsistent < 0.02
+    assert sweep(Setting("marmotte", 1.0, "tracks swapped 3 s"), EVERY).inconsistent < 0.02
 
 
 @pytest.mark.parametrize(
     ("robot", "fault", "compass"),
     [
         ("warthog", "gyro reversed 15 s", TWO_ANTENNAS),
-        ("warthog", "gyro shows 0 15 s", COMPASS),
+        pytest.param("warthog", "gyro shows 0 15 s", COMPASS, marks=pytest.mark.slow),
         ("marmotte", "right encoder reversed 10 s", TWO_ANTENNAS),
     ],
 )
@@ -210,17 +208,17 @@ def test_fault_beside_headings_is_found_at_each_time_of_a_real_drive(
 ) -> None:
     if not is_present(robot):
         pytest.skip("no log of the robot")
-    cell = sweep(Setting(robot, 5.0, fault, compass))
+    cell = sweep(Setting(robot, 5.0, fault, compass), EVERY)
     assert cell.median_rmse < 0.12
     assert max(s.rmse for s in cell.scores.values()) < 0.25
     assert cell.inconsistent < 0.04
 
 
 @pytest.mark.skipif(not is_present("warthog"), reason="no log of the wheeled robot")
-@pytest.mark.parametrize("compass", [None, TWO_ANTENNAS])
+@pytest.mark.parametrize("compass", [None, pytest.param(TWO_ANTENNAS, marks=pytest.mark.slow)])
 def test_failed_encoders_are_found_without_a_gyro(compass: Compass | None) -> None:
     """A fast machine keeps its speed while its encoders fail."""
-    cell = sweep(Setting("warthog", 5.0, "both encoders show 0 10 s", compass, has_gyro=False))
+    cell = sweep(Setting("warthog", 5.0, "both encoders show 0 10 s", compass, has_gyro=False), EVERY)
     assert cell.median_rmse < 0.15
     assert max(s.rmse for s in cell.scores.values()) < 0.25
     assert cell.inconsistent < 0.06

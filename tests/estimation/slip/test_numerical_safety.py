@@ -65,14 +65,12 @@ def correlated(variance: float, correlation: float) -> FloatArray:
     return covariance
 
 
-# Few steps: 4 · 10⁴; ``make fuzz`` takes 10⁷
+# One episode of each machine; ``make fuzz`` takes 10⁷ steps
 @pytest.mark.parametrize("machine", range(len(random_steps.MACHINES)))
 def test_random_steps_leave_finite_numbers_and_a_positive_covariance(machine: int) -> None:
-    episodes = range(machine, 24, len(random_steps.MACHINES))
-    found = [random_steps.episode(number) for number in episodes]
-    assert sum(episode.steps for episode in found) >= 5_000
-    assert [fault for episode in found for fault in episode.faults] == []
-    outcomes = np.sum([episode.outcomes for episode in found], axis=0)
+    found = random_steps.episode(machine, 1000)
+    assert found.faults == []
+    outcomes = found.outcomes
     assert outcomes[Outcome.ACCEPTED] > 0.5 * outcomes.sum()
     assert outcomes[Outcome.INVALID] > 0.05 * outcomes.sum()
 
