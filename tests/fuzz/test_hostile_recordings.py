@@ -24,7 +24,7 @@ def test_hostile_file_is_written(name: str, made: Made, tmp_path: Path) -> None:
     [
         pytest.param("/scan.*1e308", marks=pytest.mark.slow),
         pytest.param("/scan.*1e155", marks=pytest.mark.slow),
-        "^diagnostics=",
+        pytest.param("^diagnostics=", marks=pytest.mark.slow),
     ],
 )
 def test_message_of_numbers_that_its_fields_cannot_hold_is_written(pattern: str, tmp_path: Path) -> None:

@@ -92,7 +92,9 @@ def inputs():
     return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, InputErrors()))
 
 
-def test_node_publishes_the_outputs_of_the_estimator_and_takes_new_limits(real_time, programs, observer, inputs):
+def test_node_publishes_the_outputs_of_the_estimator_and_takes_new_limits(
+    real_time, programs, observer, inputs
+):
     node = SoilNode(programs, observer)
     outputs = node.feed(inputs, SoilEstimator(load_soil_parameters()))
     assert len(node.forces) == len(outputs) > 90

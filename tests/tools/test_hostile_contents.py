@@ -58,10 +58,10 @@ def set_stamp(sec: int, nanosec: int = 0) -> Callable[[Any], None]:
 @pytest.mark.parametrize(
     "change",
     [
-        *(set_rate(value) for value in (float("nan"), float("inf"), 1e308, -1e30)),
-        *(set_stamp(sec) for sec in (-(2**31), -1, 0, 2**31 - 1)),
+        *(set_rate(value) for value in (float("nan"), -1e30)),
+        *(set_stamp(sec) for sec in (-(2**31), 2**31 - 1)),
     ],
-    ids=["nan", "inf", "1e308", "-1e30", "1901", "1969", "1970", "2038"],
+    ids=["nan", "-1e30", "1901", "2038"],
 )
 def test_invalid_gyro_readings_are_left_out_of_a_calibration(
     tmp_path: Path, lines: list[Any], bag_of: BagOf, capsys: pytest.CaptureFixture[str], change: Any
@@ -90,7 +90,7 @@ def test_absurd_truth_in_a_report_warns_of_nothing(tmp_path: Path, lines: list[A
     assert main(["report", str(path), "--output", str(tmp_path / "report.html")]) in (0, 1)
 
 
-@pytest.mark.parametrize("command", ["smooth", "replay"])
+@pytest.mark.parametrize("command", ["smooth", pytest.param("replay", marks=pytest.mark.slow)])
 def test_estimates_before_1970_are_written(
     tmp_path: Path, lines: list[Any], bag_of: BagOf, command: str
 ) -> None:
@@ -158,7 +158,7 @@ def change_metadata(bag: Path, change: Callable[[dict[str, Any]], None]) -> None
     path.write_text(yaml.safe_dump(tree), encoding="utf-8")
 
 
-@pytest.mark.parametrize("ns", [-(2**63), -1, 2**62, 2**63 - 1, 10**30])
+@pytest.mark.parametrize("ns", [-(2**63), -1, 10**30])
 @pytest.mark.parametrize("command", ["info", pytest.param("report", marks=pytest.mark.slow)])
 def test_times_of_a_bag_are_those_of_its_files(
     tmp_path: Path, lines: list[Any], bag_of: BagOf, command: str, ns: int

@@ -70,7 +70,7 @@ def sparse_noisy_fixes(measurements: list[Measurement], seed: int) -> list[Measu
 
 def test_smoother_is_better_than_the_filter_and_much_better_in_an_outage(log: Any) -> None:
     measurements = without(log.measurements, PoseFix, *OUTAGE)
-    runs = [smoothed_of(sparse_noisy_fixes(measurements, seed)) for seed in range(4)]
+    runs = [smoothed_of(sparse_noisy_fixes(measurements, seed)) for seed in range(2)]
     for span, gain in (((0, 2**62), 0.8), (OUTAGE, 0.7)):
         filtered = np.mean([errors(run.filtered, log, *span) for run in runs], axis=0)
         smoothed = np.mean([errors(run.smoothed, log, *span) for run in runs], axis=0)

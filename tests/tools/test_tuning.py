@@ -254,22 +254,17 @@ def test_interrupted_search_resumes_and_ends_with_the_same_values(
     )
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
+def test_journal_with_values_of_other_types_is_refused(drive: Callable[..., Any], tmp_path: Path) -> None:
+    plan, file, tasks = plan_of(tmp_path), tmp_path / "journal.jsonl", [task_of(drive, 0)]
+    with Journal(file, tasks, plan.bounds):
+        begun = file.read_text(encoding="utf-8")
+    for line in (
         *('{"bag": "0", "values": [0.5], "score": 1}', '{"bag": 0, "values": [[0.5]], "score": 1}', "{}"),
         '{"bag": 0, "values": [0.5], "score": {"log_likelihood": "high"}}',
-    ],
-)
-def test_journal_with_values_of_other_types_is_refused(
-    drive: Callable[..., Any], tmp_path: Path, line: str
-) -> None:
-    plan, file = plan_of(tmp_path), tmp_path / "journal.jsonl"
-    with Journal(file, [task_of(drive, 0)], plan.bounds):
-        pass
-    file.write_text(f"{file.read_text(encoding='utf-8')}\n{line}", encoding="utf-8")
-    with pytest.raises(InputError, match="is no journal of tune"):
-        Journal(file, [task_of(drive, 0)], plan.bounds)
+    ):
+        file.write_text(f"{begun}\n{line}", encoding="utf-8")
+        with pytest.raises(InputError, match="is no journal of tune"):
+            Journal(file, tasks, plan.bounds)
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def names_of(log: Log) -> set[str]:
 
 
 @pytest.mark.parametrize("name", HEALTHY)
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
     assert check(make_drive(seed, **HEALTHY[name])).causes == ()
 
@@ -105,7 +105,7 @@ def test_an_outage_of_fixes_is_no_mistake() -> None:
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-@pytest.mark.parametrize("span", [(0.0, 180.0), (0.0, 60.0), (50.0, 140.0)])
+@pytest.mark.parametrize("span", [pytest.param((0.0, 180.0), marks=pytest.mark.slow), (0.0, 60.0)])
 def test_no_cause_is_found_in_a_healthy_variant_of_a_drive(name: str, span: tuple[float, float]) -> None:
     result = check(VARIANTS[name](piece(drive(), *span)))
     assert result.causes == ()
@@ -205,7 +205,7 @@ def with_stddev(log: Log, stddev: float) -> Log:
     return replace(log, fixes=tuple(replace(f, stddevs=np.full(len(f.t), stddev)) for f in log.fixes))
 
 
-@pytest.mark.parametrize("stddev", [0.02, 0.3, 3.0])
+@pytest.mark.parametrize("stddev", [0.02, 3.0])
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_fixes_in_km_are_named(has_heading: bool, stddev: float) -> None:
     log = with_stddev(scaled_fixes(make_drive(has_heading=has_heading), 1e-3), stddev)
@@ -259,7 +259,7 @@ def test_fixes_in_feet_are_no_unit_of_speeds(*, has_heading: bool) -> None:
 
 
 @pytest.mark.parametrize("has_heading", [True, False])
-@pytest.mark.parametrize("factor", [0.2, 0.42, 0.5, 2.0, 2.45, 3.0, 5.0])
+@pytest.mark.parametrize("factor", [0.42, 2.0, 5.0])
 def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_heading: bool) -> None:
     log = make_drive(has_heading=has_heading)
     (gyro,) = log.gyros
@@ -369,7 +369,7 @@ def far_fixes(*zeros: int) -> Log:
     return replace(log, fixes=(replace(log.fixes[0], places=places),))
 
 
-@pytest.mark.parametrize("zeros", [(10, 30, 50), (10, 50), (0, 1, 2), (20, 21, 22, 50, 51)])
+@pytest.mark.parametrize("zeros", [(10, 50), (0, 1, 2)])
 def test_fixes_at_zero_among_few_are_named(zeros: tuple[int, ...]) -> None:
     assert names_of(far_fixes(*zeros)) == {"missing_value"}
 
@@ -386,7 +386,7 @@ def shifted(log: Log, late: float, *, has_gyro_too: bool = False) -> Log:
     return replace(log, fixes=fixes, compasses=compasses, gyros=gyros)
 
 
-@pytest.mark.parametrize("late", [2.6, 5.0, 18.0, -18.0])
+@pytest.mark.parametrize("late", [2.6, -18.0])
 @pytest.mark.parametrize(
     "options",
     [
@@ -421,7 +421,7 @@ def test_sources_without_a_time_in_common_with_the_tracks_are_named(
     assert {cause.source for cause in causes} == {"gnss_pose", *["imu/data_raw"] * has_gyro_too}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 @pytest.mark.parametrize("period", [10.0, 20.0])
 def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period: float) -> None:
     straight = (
@@ -457,7 +457,7 @@ def test_fixes_that_a_log_holds_until_the_next_one_are_called_held_and_neither_f
     assert f"about {20.0 * period:.0f} times" in cause.evidence
 
 
-@pytest.mark.parametrize("direction", [0.0, 45.0, 90.0])  # deg
+@pytest.mark.parametrize("direction", [0.0, 45.0])  # deg
 def test_exchanged_latitude_and_longitude_are_no_rolling_radius(direction: float) -> None:
     """What was east is then north, and longer: a map near the equator has longer degrees of longitude."""
     log = make_drive(has_heading=False).with_tracks(0.9 * np.eye(2))

@@ -99,8 +99,7 @@ def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any
     return estimator.window.best[estimator.window.count - 1], outcomes
 
 
-@pytest.mark.parametrize("filter_", ["ekf", "daf"])
-@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+@pytest.mark.parametrize(("filter_", "model"), [("daf", "turning"), ("ekf", "free_slips")])
 @pytest.mark.parametrize(
     "changes", [{}, {"sources.box_pose.use_heading": False, "sources.box_pose.lever_arm_x": 0.4}]
 )
@@ -141,7 +140,7 @@ def test_outage_gates_the_same_fixes_as_live(drive: Callable[..., Any]) -> None:
     assert outcomes.count(Outcome.GATED) >= 2
 
 
-@pytest.mark.parametrize("size", [16, 100, 10_000])
+@pytest.mark.parametrize("size", [16, 10_000])
 def test_block_size_does_not_change_the_bits(
     drive: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:

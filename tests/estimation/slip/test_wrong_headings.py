@@ -95,7 +95,7 @@ def errors_of(drives: Sequence[tuple[Recording, list[Measurement]]], source: str
     )
 
 
-@pytest.mark.parametrize("source", [ALONE, IN_POSES])
+@pytest.mark.parametrize("source", [ALONE, pytest.param(IN_POSES, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ERRORS)
 def test_wrong_headings_do_not_degrade_fixes(kind: str, source: str) -> None:
     found = errors_of([seen(ERRORS[kind], source, seed) for seed in range(2)], source)
@@ -104,7 +104,9 @@ def test_wrong_headings_do_not_degrade_fixes(kind: str, source: str) -> None:
     assert found.nees < 6.0
 
 
-@pytest.mark.parametrize("kind", ["off by 6° for 40 s", "swings by 10°"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("off by 6° for 40 s", marks=pytest.mark.slow), "swings by 10°"]
+)
 def test_consistent_wrong_headings_do_not_outvote_fixes(kind: str) -> None:
     """A compass at 20 Hz has less noise than error."""
     found = errors_of([seen(ERRORS[kind], ALONE, seed, every=1, stddev=0.005) for seed in range(2)], ALONE)
@@ -113,7 +115,7 @@ def test_consistent_wrong_headings_do_not_outvote_fixes(kind: str) -> None:
     assert found.nees < 9.0
 
 
-@pytest.mark.parametrize("turned", [0.1, 0.5])
+@pytest.mark.parametrize("turned", [pytest.param(0.1, marks=pytest.mark.slow), 0.5])
 def test_multipath_is_rejected_while_headings_are_off(turned: float) -> None:
     """A metre of multipath for 8 s; the receiver's antenna pair is rotated on the machine."""
     squares, nees = [], []

@@ -93,7 +93,7 @@ def beside_velocities(
 
 
 @pytest.mark.skipif(not is_present("marmotte"), reason="needs the logs of ../shared/data")
-@pytest.mark.parametrize("begin", [60.0, 80.0, 100.0])
+@pytest.mark.parametrize("begin", [80.0])
 @pytest.mark.parametrize("kind", ["zero", "frozen"])
 def test_repeated_velocities_do_not_displace_a_robot_that_turns_often(kind: str, begin: float) -> None:
     """Without a gyro, and with ten velocities to each fix; its speed is no more continuous than theirs."""

@@ -192,7 +192,7 @@ def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
     assert widths[1] > 1.5 * widths[0]
 
 
-@pytest.mark.parametrize("chunk", [7, 1000, 10**6])
+@pytest.mark.parametrize("chunk", [7, 1000])
 def test_batches_of_inputs_give_the_same_bits_as_single_ones(chunk: int) -> None:
     """A replay processes thousands of records at once, the live node one by one."""
     inputs = corrupted(FAULTS[PressureFault.DROPPED])
