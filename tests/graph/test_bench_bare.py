@@ -6,6 +6,8 @@ import json
 import signal
 from pathlib import Path
 
+import pytest
+
 import bench_bare
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.writer import BagWriter
@@ -19,6 +21,7 @@ ENDPOINTS = {
 }
 
 
+@pytest.mark.slow
 def test_bare_node_publishes_sources_at_their_rate_and_answers_inputs(programs, observer):
     with BagWriter(programs.folder / "bag") as bag:
         for k in range(int(RATE) + 1):

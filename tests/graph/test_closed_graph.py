@@ -53,7 +53,9 @@ RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 @pytest.mark.parametrize(
     ("node", "stranger", "expected"),
     [
-        (f"{RANGE}=SUBNET", f"{RANGE}=SUBNET", "seen seen"),  # ROS's default: nodes are visible
+        pytest.param(  # ROS's default: nodes are visible
+            f"{RANGE}=SUBNET", f"{RANGE}=SUBNET", "seen seen", marks=pytest.mark.slow
+        ),
         (f"{RANGE}=LOCALHOST", f"{RANGE}=SUBNET", f"{NOTHING} {NOTHING}"),
         (f"{RANGE}=LOCALHOST {PEERS}=10.9.0.2", f"{RANGE}=LOCALHOST {PEERS}=10.9.0.1", "seen seen"),
     ],

@@ -289,7 +289,7 @@ def test_topics_of_others_are_recorded_by_expression(programs, observer):
         assert "/other/note" not in bag.topics
 
 
-@pytest.mark.parametrize("kind", [Imu, QuaternionStamped])
+@pytest.mark.parametrize("kind", [pytest.param(Imu, marks=pytest.mark.slow), QuaternionStamped])
 def test_headings_are_recorded_by_the_type_that_is_published(programs, observer, kind):
     recorder = Recorder(programs, observer)
     observer.wait_for_ends("/heading", "record")

@@ -61,7 +61,7 @@ def replay(bag: Path, robot: str, folder: Path, *options: str) -> dict[str, Any]
     [
         ("marmotte", "", False, 0.090),
         pytest.param("marmotte", "75.5:105.5", False, 0.13, marks=pytest.mark.slow),
-        ("marmotte", "75.5:105.5", True, 0.75),
+        pytest.param("marmotte", "75.5:105.5", True, 0.75, marks=pytest.mark.slow),
         pytest.param("warthog", "", False, 0.043, marks=pytest.mark.slow),
         pytest.param("warthog", "303.8:333.8", False, 0.22, marks=pytest.mark.slow),
         pytest.param("warthog", "303.8:333.8", True, 0.29, marks=pytest.mark.slow),

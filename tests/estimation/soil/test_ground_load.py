@@ -143,8 +143,8 @@ def test_track_loads_with_a_swung_cab_equal_those_of_the_truth(swing: float) -> 
     assert load["lean_stddev"] == 0.0
 
 
-@pytest.mark.parametrize("swing", [0.0, 0.7, math.pi / 2, 3.0])
-@pytest.mark.parametrize("stddev", [0.1, 0.8, math.inf])
+@pytest.mark.parametrize("swing", [0.7, 3.0])
+@pytest.mark.parametrize("stddev", [0.1, math.inf])
 def test_uncertain_swing_widens_the_track_loads_as_by_sampling(swing: float, stddev: float) -> None:
     rng = np.random.default_rng(1)
     angles = swing + stddev * rng.standard_normal(4000) if stddev < 9.0 else rng.uniform(-np.pi, np.pi, 4000)
