@@ -50,12 +50,12 @@ cases: setup ## drives with injected faults, scored beside those of a baseline, 
 sweep: setup ## each fault of the cases at many times of real logs, a quarter of an hour (ARGS='--only encoder')
 	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/sweep.py $(ARGS)
 
-# A module's tests run in one worker, and those with whole graphs (group graph) one by one: three more workers than
+# A module's tests run in one worker, and those with whole graphs (group graph) one by one: two more workers than
 # cores use what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
 # a process for seconds. The interrupt at the end of two hours, for what hangs, leaves the names of what had failed.
 test: checks ## all tests but the slow ones
 	@$(ENTER) exec timeout --foreground --signal=INT --kill-after=60 7200 \
-		$(VENV)/python -m pytest -n 5 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
+		$(VENV)/python -m pytest -n 4 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
 
 lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .
