@@ -131,7 +131,7 @@ def test_gyro_noise_does_not_bias_the_gyro_scale() -> None:
     findings = [calibrated(drive, seed).findings["gyro_scale"] for seed in range(5)]
     mean = np.mean([f.value for f in findings if f.value is not None])
     assert mean == pytest.approx(drive.scale, abs=0.015)
-    assert sum(f.contains(drive.scale) for f in findings) >= 8
+    assert sum(f.contains(drive.scale) for f in findings) >= 4
 
 
 def half(finding: Finding) -> float:
