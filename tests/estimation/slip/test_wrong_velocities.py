@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, Recording, drive, parameters
 from fixtures.fault_cases.case import GNSS, FaultCase, fix_parameters, stamp
+from fixtures.fault_cases.injections import INJECTIONS
 from fixtures.fault_cases.robot_logs import Truth, between, is_present, merged, read_log, reference_fixes
 from fixtures.fault_cases.scoring import score
 from fixtures.fault_cases.sensor_faults import SENSOR_FAULTS
@@ -129,16 +130,23 @@ def test_sound_velocities_show_that_fixes_drift() -> None:
     assert found.inconsistent < 0.1
 
 
-@pytest.mark.parametrize("with_gyro", [True, False])
-def test_sound_velocities_show_that_both_encoders_fail(with_gyro: bool) -> None:
+@pytest.mark.parametrize(
+    ("fault", "begin", "fix_rate", "with_gyro"),
+    [
+        ("both encoders show 0 10 s", 30.0, 1.0, True),
+        ("both encoders show 0 10 s", 30.0, 1.0, False),
+        ("multipath 3.0 m 10 s", 44.0, 5.0, False),
+    ],
+)
+def test_sound_velocities_show_what_fails(fault: str, begin: float, fix_rate: float, with_gyro: bool) -> None:
     machine = Machine(duration=90.0, seed=3, track_error=0.03, fix_noise=0.05, fix_stated=0.05)
-    recorded, begin = drive(machine), 30.0
+    recorded = drive(machine)
     odometry = [
         m for m in recorded.measurements if isinstance(m, Sprockets) or (with_gyro and isinstance(m, YawRate))
     ]
     truth = Truth(recorded.t, recorded.poses)
-    measurements = beside_velocities(odometry, truth, 1.0, 5.0, begin, as_measured)
-    injected = SENSOR_FAULTS["both encoders show 0 10 s"].inject(measurements, begin, 0.05)
+    measurements = beside_velocities(odometry, truth, fix_rate, 5.0, begin, as_measured)
+    injected = {**INJECTIONS, **SENSOR_FAULTS}[fault].inject(measurements, begin, 0.05)
     inputs = between(injected.measurements, 0.0, begin + 25.0)
     parameters = fix_parameters(GNSS, layer={}, velocity_sources=[SOURCE])
     found = score(FaultCase(parameters, inputs, truth, injected.window))

@@ -69,6 +69,12 @@ def is_trusted(fault: int, kind: int) -> bool:
 
 
 @compiled
+def is_displacement_measured(fault: int) -> bool:
+    """Whether positions with the fault measure displacements: free of it, or with a constant offset."""
+    return fault == IS_OFFSET or is_trusted(fault, POSE)
+
+
+@compiled
 def is_failed(fault: int) -> bool:
     """Whether a unit does not measure the motion, or only to a factor."""
     return fault in (IS_FAILED, IS_MISCOUNTING)

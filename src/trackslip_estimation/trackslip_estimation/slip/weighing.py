@@ -60,8 +60,8 @@ from trackslip_estimation.slip.source_faults import (
     IS_SCATTERING,
     IS_STAYING,
     IS_WANDERING,
+    is_displacement_measured,
     is_heading_off,
-    is_trusted,
     log_density_of_outlier,
     log_density_of_scatter,
     weigh_repeat,
@@ -127,7 +127,7 @@ def weigh_and_update(
         _set_whitened_innovation(state, o.innovation, predicted + R, update)
     if update.outcome == _GATED:
         return
-    if kind == POSE and is_trusted(fault, POSE) and update.nis <= update.gate:
+    if kind == POSE and is_displacement_measured(fault) and update.nis <= update.gate:
         _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
     if update.coarse == 1 and has_mostly_correlated_errors(state, source, c):
         share = student_inflation(update.nis, m)

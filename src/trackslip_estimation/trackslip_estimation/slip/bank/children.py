@@ -63,6 +63,7 @@ from trackslip_estimation.slip.source_faults import (
     can_be_repetition,
     has_failed_unit,
     has_wandering_offset,
+    is_displacement_measured,
     is_failed,
     is_heading_off,
     is_repeated,
@@ -143,7 +144,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
         if measurement.kind in (POSE, VELOCITY) and is_failed(state.fault[unit]):
             branch.weight -= elapsed_s / c.events.fault_time
     branch.weight -= slip_range_penalty(state, c) * min(elapsed_s / _SLIP_TIME, 1.0)
-    follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
+    follows = measurement.kind == POSE and is_displacement_measured(fault)
     if measurement.kind == VELOCITY:  # at standstill slip is not observable
         follows = fault == IS_HEALTHY and state.motion.motion != _STANDING
     if follows and not has_mostly_correlated_errors(state, source, c):
