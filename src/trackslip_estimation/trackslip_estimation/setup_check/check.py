@@ -20,6 +20,7 @@ from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
     LEAST_ODDS,
+    READ_OFF,
     Cause,
     MeasuredValue,
     OpenQuestion,
@@ -139,7 +140,7 @@ def _correct_quantities(log: Log, findings: _Findings) -> tuple[Log, Drive]:
 def _unusable_cause(name: str, count: int) -> Cause:
     evidence = f"none of {count} readings of {name} is valid: values not finite, or variances not above 0"
     remedy = "Let its driver state values and covariance; of a log, trackslip import takes stddev: {x: …}"
-    return Cause("invalid_readings", name, evidence, odds_of(12.0), remedy)
+    return Cause("invalid_readings", name, evidence, READ_OFF, remedy)
 
 
 def _missing_cause(missing: MissingValue) -> Cause:

@@ -15,7 +15,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.delay import LARGEST_DELAY, correlate_rates
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, READ_OFF, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import path_delay_logs
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Fixes, Log
@@ -75,7 +75,7 @@ def correct_time_units(log: Log) -> tuple[Log, list[Cause]]:
             f"stamps of {subject} are {period:.3g} s apart; as {_UNITS[factor]}, {period * factor:.3g} s"
         )
         remedy = f"State the unit in the mapping: time: {{column: …, unit: {_UNITS[factor].split(',')[0]}}}"
-        causes.append(Cause("time_unit", "all" if is_same_unit else name, evidence, odds_of(12.0), remedy))
+        causes.append(Cause("time_unit", "all" if is_same_unit else name, evidence, READ_OFF, remedy))
     return _scale_stamps(log, factors), causes
 
 
@@ -198,7 +198,7 @@ def judge_drift(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
     evidence = (
         f"stamps of {name} drift from those of the other sources {rate_text}: its clock is fast or slow"
     )
-    return [Cause("source_delay", name, evidence, odds_of(12.0), remedy[0].upper() + remedy[1:])], []
+    return [Cause("source_delay", name, evidence, READ_OFF, remedy[0].upper() + remedy[1:])], []
 
 
 def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, bool] | None:

@@ -15,7 +15,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.clocks import TRACKS
 from trackslip_estimation.setup_check.delay import LARGEST_DELAY, maximum_between_steps
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, READ_OFF, Cause, odds_of
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Tracks
 
 S = TypeVar("S", Compass, Fixes, Gyro)
@@ -90,7 +90,7 @@ def _judge_arrivals(log: Log) -> tuple[Log, list[Cause]]:
 def _arrival_cause(name: str, delay: float, usual: float) -> Cause:
     own, other = (f"{abs(d):.1f} s {'after' if d >= 0.0 else 'before'}" for d in (delay, usual))
     evidence = f"{name} arrives {own} its stamps, other sources {other} theirs"
-    return Cause("source_delay", name, evidence, odds_of(12.0), _clock_remedy(name, usual - delay))
+    return Cause("source_delay", name, evidence, READ_OFF, _clock_remedy(name, usual - delay))
 
 
 def _clock_remedy(name: str, ahead: float) -> str:
@@ -114,7 +114,7 @@ def _judge_overlap(log: Log) -> list[Cause]:
         evidence = f"{source.name} {where} of the sprockets: the two have no time in common"
         of_clock = f"bring both to one clock (mapping of {source.name}: time_offset, or zone of its times)"
         remedy = f"Record both together, or {of_clock}"
-        causes.append(Cause("source_delay", source.name, evidence, odds_of(12.0), remedy))
+        causes.append(Cause("source_delay", source.name, evidence, READ_OFF, remedy))
     return causes
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.finding import Cause, odds_of
+from trackslip_estimation.setup_check.finding import READ_OFF, Cause
 from trackslip_estimation.setup_check.log import Counts
 
 _ROUNDING_SHARE = 1e-9  # of the largest change: floating-point rounding
@@ -79,4 +79,4 @@ def judge_counts(counts: Counts) -> Cause | None:
         f"{counts.stated:.3g} rad"
     )
     remedy = f"Set {remedies.parameter('encoder_resolution', counts.measured)}"
-    return Cause("encoder_resolution", "sprockets", evidence, odds_of(20.0), remedy)
+    return Cause("encoder_resolution", "sprockets", evidence, READ_OFF, remedy)

@@ -10,6 +10,7 @@ LEAST_ODDS = 100.0  # to 1, below which no cause is reported
 LEAST_LOG = math.log(LEAST_ODDS)
 PRIOR = math.log(300.0)  # ln odds against each mistake
 MOST_ODDS = 1e9  # largest odds in a sentence
+READ_OFF = 1e5  # odds of a cause that is read off the log, without a likelihood
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.finding import Cause, odds_of
+from trackslip_estimation.setup_check.finding import READ_OFF, Cause
 from trackslip_estimation.setup_check.grid import window_sums
 from trackslip_estimation.setup_check.log import Gyro
 
@@ -43,7 +43,7 @@ def _judge_span(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | N
     )
     without = remedies.parameter("yaw_rate_sources", "[]")
     remedy = f"Check supply and cable of the unit, or leave it out: {without}"
-    return Cause("gyro_frozen", gyro.name, evidence, odds_of(20.0), remedy)
+    return Cause("gyro_frozen", gyro.name, evidence, READ_OFF, remedy)
 
 
 def _unexplained_turn(turns: FloatArray, gyro_turns: FloatArray) -> float:

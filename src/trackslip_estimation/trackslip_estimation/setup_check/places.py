@@ -11,7 +11,14 @@ from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, MORE_DIGITS, rounding_of
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.equal_runs import new_readings
-from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, MeasuredValue, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.finding import (
+    LEAST_LOG,
+    READ_OFF,
+    Cause,
+    MeasuredValue,
+    OpenQuestion,
+    odds_of,
+)
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrap_angles
@@ -229,14 +236,14 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
                 "Give all fixes one datum: in the mapping datum: "
                 "{latitude: …, longitude: …}; of gnss_localizer its datum"
             )
-            causes.append(Cause("datum", source.name, evidence, odds_of(15.0), remedy))
+            causes.append(Cause("datum", source.name, evidence, READ_OFF, remedy))
         elif distance > _FARTHEST_SITE and not is_grid:
             evidence = f"fixes are {distance / 1e3:.1f} km from the origin of the map"
             remedy = (
                 "Set the datum to the site: in the mapping datum: first; of "
                 "gnss_localizer datum_latitude and datum_longitude"
             )
-            causes.append(Cause("datum", source.name, evidence, odds_of(12.0), remedy))
+            causes.append(Cause("datum", source.name, evidence, READ_OFF, remedy))
     return causes + _judge_separation(fixes)
 
 
@@ -260,7 +267,7 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
                 "position_resolution",
                 source.name,
                 evidence,
-                odds_of(20.0),
+                READ_OFF,
                 f"Record {MORE_DIGITS}, or set {floor}",
             )
         )
@@ -282,7 +289,7 @@ def drop_held(fixes: Sequence[Fixes]) -> tuple[tuple[Fixes, ...], list[Cause]]:
                 "Record the topic or log of the receiver itself, each fix once (mapping of a CSV log: "
                 "new_when_changes)"
             )
-            causes.append(Cause("position_resolution", source.name, evidence, odds_of(20.0), remedy))
+            causes.append(Cause("position_resolution", source.name, evidence, READ_OFF, remedy))
     return tuple(source.select(is_new) for source, is_new in zip(fixes, rows, strict=True)), causes
 
 
@@ -304,4 +311,4 @@ def _judge_separation(fixes: Sequence[Fixes]) -> list[Cause]:
         "Give both one map: the same datum and frame; or leave one out of "
         f"{remedies.parameter('pose_sources', f'[{first.name}]')}"
     )
-    return [Cause("frame", second.name, evidence, odds_of(12.0), remedy)]
+    return [Cause("frame", second.name, evidence, READ_OFF, remedy)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.log import Fixes
 from trackslip_estimation.setup_check.quantities import explained_distance, explained_share
@@ -46,7 +46,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
             f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
         remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
-        return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
+        return [Cause("frame", name, evidence, READ_OFF, remedy)], []
     extent = float(np.ptp(fixes.places, axis=0).max())
     if extent > min(_LEAST_EXTENT, _STILL * distance):
         return [], []
@@ -55,7 +55,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
         "more noise, so they are in another unit"
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
-    return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
+    return [Cause("frame", name, evidence, READ_OFF, remedy)], []
 
 
 def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
