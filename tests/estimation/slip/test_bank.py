@@ -205,7 +205,7 @@ def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
 @pytest.mark.parametrize("heading_noise", [10.0, 0.02])  # rad; of one antenna, and of two
 def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> None:
     """The displacement of the fixes grows within 6 s, lasts for 10 s, and ends."""
-    rms, nees = np.median([off_evenly(part, heading_noise) for part in range(0, 12, 2)], axis=0)
+    rms, nees = np.median([off_evenly(part, heading_noise) for part in range(12)], axis=0)
     assert rms < 0.18
     assert nees < 3.5
 
@@ -393,9 +393,9 @@ def test_encoder_that_fails_is_found_beside_a_compass_at_20_hz() -> None:
     assert np.mean(nees > 13.8) < 0.05
 
 
-@pytest.mark.parametrize("factor", [-1.0, 0.0])
-def test_compass_shows_that_the_gyro_fails(factor: float) -> None:
-    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1)
+@pytest.mark.parametrize(("factor", "seed"), [(-1.0, 0), (0.0, 0), (0.0, 2)])
+def test_compass_shows_that_the_gyro_fails(factor: float, seed: int) -> None:
+    machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, fix_rate=1, seed=seed)
     recording = drive(replace(machine, sensor_rate=100))
     fails = range(21 * S, 36 * S)
     broken = [
@@ -506,7 +506,7 @@ def test_failed_encoders_are_found_before_the_heading_is_known(
     assert error[t > 26.0].max() < 0.2
 
 
-@pytest.mark.parametrize("fix_rate", [1, 10])
+@pytest.mark.parametrize("fix_rate", [1, 5, 10])
 def test_lost_counts_beside_fixes_at_any_rate_keep_the_estimate_consistent(fix_rate: int) -> None:
     """The cost of an implausible slip must not depend on the number of fixes."""
     machine = Machine(duration=50.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=fix_rate)

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common problems of localization filters, one test each; the numbers are those of the field notes."""
+"""Common problems of localization filters, one test each; the numbers are those of the field notes.
+
+Late data (1), the output rate (5), bad input (8) and replay (9) have files of their own.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -158,7 +158,7 @@ def test_everything_silent(log: Log) -> None:
     assert found.recovery(end) < 1.0
 
 
-@pytest.mark.parametrize("start", [16.0])
+@pytest.mark.parametrize("start", [12.0, 16.0, 27.0])
 def test_started_mid_drive(log: Log, start: float) -> None:
     """In a turn or straight on: accurate from the first fix, and fully accurate within 5 s."""
     found = run(log, [m for m in log.measurements if seconds_of(log, m) > start])

@@ -66,7 +66,7 @@ def test_jittering_frozen_receiver_keeps_a_probability_of_half_a_percent(jitter:
     assert score(of_receiver(machine, frozen=jitter)).live_equals_replay
 
 
-@pytest.mark.parametrize("rate", [1, 10])
+@pytest.mark.parametrize("rate", [1, 5, 10])
 @pytest.mark.parametrize(("noise", "stated"), [(0.05, 0.05), (0.005, 0.05)])
 def test_estimate_of_a_stuck_machine_follows_its_fixes(noise: float, stated: float, rate: int) -> None:
     machine = Machine(

@@ -34,7 +34,7 @@ def shifted(measurements: Sequence[Measurement], k: int, by_ns: int) -> list[Mea
     return found
 
 
-@pytest.mark.parametrize("machine", MACHINES[1:], ids=("real",))
+@pytest.mark.parametrize("machine", MACHINES, ids=("nominal", "real"))
 @pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])
 def test_a_stamp_that_is_a_microsecond_off_moves_the_final_pose_by_less_than_a_millimetre(
     machine: Machine, kind: type[Measurement]
