@@ -17,10 +17,11 @@ from fixtures.patience import PATIENCE, wait_for
 from trackslip_drivers.transports.can_bus import CanBus
 from trackslip_drivers.transports.link import Handlers, Link
 from trackslip_drivers.transports.serial_port import SerialPort
+from trackslip_sim.demo.run import free_udp_port
 from trackslip_sim.devices.pty_port import PtyPort
 
 IGNORED = Handlers(lambda *_: None, lambda: None)
-UDP_PORT = 44000 + os.getpid() % 10000  # separates parallel test runs
+UDP_PORT = free_udp_port()
 GROUP = "239.74.163.2"
 
 
@@ -267,7 +268,7 @@ def test_frames_over_udp_multicast(received, start_link):
     link = start_link(partial(CanBus, "udp_multicast", GROUP, {"port": UDP_PORT}))
     wait_for(lambda: link.state().connected)
     peer = CanBus("udp_multicast", GROUP, {"port": UDP_PORT})
-    stranger = CanBus("udp_multicast", GROUP, {"port": UDP_PORT + 10000})
+    stranger = CanBus("udp_multicast", GROUP, {"port": free_udp_port()})
     before_ns = time.time_ns()
     stranger.write((1, b"not ours"))
     for n in range(200):

@@ -18,6 +18,8 @@ from fixtures.observer import Observer
 from fixtures.plugged_devices import MULTICAST
 from fixtures.programs import ROOT, Programs
 
+from trackslip_sim.demo.run import free_udp_port
+
 _DOMAINS = range(1, 102)
 _PARTICIPANTS = 20  # more than any graph of the tests has
 
@@ -96,10 +98,7 @@ def observer(domain: int, programs: Programs) -> Iterator[Observer]:
 @pytest.fixture
 def udp_port() -> int:
     """A free UDP port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        port: int = probe.getsockname()[1]
-        return port
+    return free_udp_port()
 
 
 @pytest.fixture

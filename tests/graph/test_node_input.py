@@ -4,14 +4,17 @@
 
 import re
 import signal
+import socket
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 from fixtures.programs import ros_arguments
 
 from trackslip_bags.nodes.record import RecordNode
+from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.run import run
 from trackslip_common.vehicle_files import load_vehicle, parse_vehicle
@@ -76,6 +79,18 @@ def assert_refused(domain, tmp_path, monkeypatch, capfd):
     yield refuse
     for number, handler in handlers.items():
         signal.signal(number, handler)
+
+
+def test_can_port_that_another_program_has_is_named(assert_refused, can):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("", can["can_port"]))
+        arguments = ros_arguments(**can, **QUICK["emulator"], autostart=True)
+        assert_refused("emulator", arguments, f"can_port {can['can_port']}", "in use", "accepted: ")
+
+
+def test_system_does_not_give_the_can_port_of_the_emulator_to_other_programs():
+    first_ephemeral = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    assert node_defaults("emulator", "emulator.yaml")["can_port"] < first_ephemeral
 
 
 @pytest.mark.parametrize("node", NODES)
@@ -145,10 +160,10 @@ def test_recorder_that_cannot_write(assert_refused, tmp_path):
         *(pytest.param(node, signal.SIGINT, marks=pytest.mark.slow) for node in NODES if node != "emulator"),
     ],
 )
-def test_running_node_ends_quietly(programs, observer, node, number):
+def test_running_node_ends_quietly(programs, observer, can, node, number):
     parameters = QUICK.get(node, {})
     if node == "emulator":
-        parameters = {**parameters, "device_directory": str(programs.folder / "dev")}
+        parameters = {**parameters, "device_directory": str(programs.folder / "dev"), **can}
     healths = observer.healths()
     program = programs.node(node, **parameters)
     observer.wait(lambda: [status for status in healths if status.name == node], f"diagnostics of {node}")

@@ -26,7 +26,7 @@ _ARGUMENTS = {
     "soil": ("sand", "a name of config/soils.yaml"),
     "scenario": ("thesis", "a name of config/scenarios, or a file"),
     "devices": ("/tmp/trackslip_devices", "directory of the emulated serial ports"),
-    "can_port": ("43113", "UDP port of the emulated CAN bus"),
+    "can_port": ("23113", "UDP port of the emulated CAN bus"),
 }
 
 

@@ -219,10 +219,10 @@ class Link(Generic[T]):
             self._errors += 1
             self._last_error_s = time.time()
             self._was_silent = isinstance(error, _SilentPortError)
-            self._last_error = str(error) if self._was_silent else _error_text(error)
+            self._last_error = str(error) if self._was_silent else error_text(error)
 
 
-def _error_text(error: Exception) -> str:
+def error_text(error: Exception) -> str:
     """The system's error text, without the port names that libraries add; else type and text of the error."""
     inner = error.__cause__ if error.__suppress_context__ else error.__context__
     for cause in (inner, error):

@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import os
+import random
 import shutil
 import socket
 import sys
@@ -37,6 +38,7 @@ from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 _MAX_DURATION = 3600.0  # s
 _FIRST_DOMAIN, _DOMAIN_COUNT = 1, 100
 _LAST_DOMAIN = 101  # later ones use ephemeral ports
+_UDP_PORTS = range(20_000, 32_768)  # below the ephemeral ones
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -164,10 +166,12 @@ def _free_tcp_port() -> int:
 
 
 def free_udp_port() -> int:
-    """A port that no other CAN emulation uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
+    """A port that no program uses now; none gets it by chance, as the system gives out higher ones."""
+    while True:
+        port = random.choice(_UDP_PORTS)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.bind(("", port))
+            return port
 
 
 @contextmanager

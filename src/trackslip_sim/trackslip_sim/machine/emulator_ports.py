@@ -7,7 +7,9 @@ from pathlib import Path
 
 import can
 
+from trackslip_common.errors import InputError
 from trackslip_drivers.transports.can_bus import CanBus
+from trackslip_drivers.transports.link import error_text
 from trackslip_sim.devices.pty_port import PtyPort
 from trackslip_sim.machine.excavator import EmulatedExcavator
 from trackslip_sim.machine.faults import GNSS, SICK, UNPLUG, WATSON
@@ -18,12 +20,13 @@ class EmulatorPorts:
     """Bus and ports, opened at construction.
 
     Raises:
-        can.CanError, OSError: bus or port cannot be opened.
+        InputError: the bus cannot be opened.
+        OSError: a port cannot be opened.
     """
 
     def __init__(self, p: EmulatorParameters) -> None:
         with ExitStack() as opened:
-            self._bus = CanBus(p.can_interface, p.can_channel, {"port": p.can_port})
+            self._bus = _open_bus(p)
             opened.callback(self._bus.close)
             self._ports = {}
             for sensor in (WATSON, SICK, GNSS):
@@ -65,3 +68,13 @@ class EmulatorPorts:
     def close(self) -> None:
         """Close bus and ports; safe to call twice."""
         self._opened.close()
+
+
+def _open_bus(p: EmulatorParameters) -> CanBus:
+    try:
+        return CanBus(p.can_interface, p.can_channel, {"port": p.can_port})
+    except (can.CanError, OSError) as error:
+        raise InputError(
+            f"emulator: {p.can_interface} '{p.can_channel}', can_port {p.can_port}: {error_text(error)};"
+            " accepted: a port that no other program has, a multicast address, a network that is up"
+        ) from error
