@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The read loop of links to ports and buses, on real ptys and sockets."""
 
+import gc
 import math
 import os
 import socket
@@ -281,6 +282,15 @@ def test_frames_over_udp_multicast(received, start_link):
     wait_for(lambda: any(frame == (0x0CFF1180, b"12345678") for frame, _ in peer.read()))
     peer.close()
     stranger.close()
+
+
+def test_bus_that_cannot_be_opened_is_an_error_and_nothing_else(caplog):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("", port := free_udp_port()))
+        with pytest.raises(can.CanError):
+            CanBus("udp_multicast", GROUP, {"port": port})
+    gc.collect()
+    assert caplog.messages == []
 
 
 def test_frames_from_the_network_are_not_the_machines(received, start_link):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CAN bus by python-can: SocketCAN on the vehicle, UDP multicast in one host, virtual in one process."""
 
+import logging
 import os
 import socket
 import time
@@ -21,6 +22,8 @@ REMOTE_FLAG = 1 << 30
 
 _SEND_TIMEOUT_S = 0.1
 _CLASSIC_BYTES = 8
+
+logging.getLogger("can.bus").setLevel(logging.ERROR)  # else it warns of buses that did not open
 
 
 class CanBus:
