@@ -281,7 +281,7 @@ def test_j1939_by_parameter_group_and_sender(tmp_path):
     ("changes", "options"),
     [
         ({}, {}),
-        ({"can_interface": "udp_multicast"}, {"port": 43113}),
+        ({"can_interface": "udp_multicast", "can_port": 20002}, {"port": 20002}),
         (
             {"can_interface": "socketcand", "can_host": "10.0.0.7", "can_port": 29536},
             {"host": "10.0.0.7", "port": 29536},
