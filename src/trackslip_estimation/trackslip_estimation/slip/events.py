@@ -21,7 +21,7 @@ before the measurement that the event explains. "Since": after the latest consis
     MOVED            x, y                                                before
     TURNED           heading, and the states estimated through it        since
     SWUNG            σ, σ̇ of the upper structure                         since
-    SLIPPED          i₀                                                  since
+    SLIPPED          i₀; or i₀, about 1: the machine is stuck            since
                      i₀, and the offset of a coarse receiver             or earlier
     SKIDDED          x, y, by a share of the distance since the latest   before
                      consistent fix
@@ -105,6 +105,7 @@ UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split
 ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of a uniform heading
 MEASURED = -1  # ``part``: the heading is that of a compass
 LOST = 1  # ``part``: half of the counts of the sprockets are lost
+STUCK = 1  # ``part``: both tracks slip by 100 %
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +143,7 @@ class EventParameters(Parameters):
     late_stddev: float = parameter("standard deviation of such a delay", unit="s", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
+    stuck_share: float = parameter("share of slip changes after which the machine is stuck", gt=0.0, lt=1.0)
 
 
 def event_rates(

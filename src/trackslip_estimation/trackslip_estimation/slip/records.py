@@ -193,7 +193,7 @@ class State(Record):
     fault: Annotated[IntArray, MOST_SOURCES]  # ``SourceFault`` that the branch assumes, by source
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source
-    last_value: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of the latest fix, angle or velocity, by source
+    last_value: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of each source; of fixes that stay, their mean
     last_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
 
 
@@ -240,7 +240,8 @@ HISTORY = 16  # latest events of a branch
 class EventRecord(Record):
     """An event of a branch, and the step in which it opened states.
 
-    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; or ``LOST``.
+    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``LOST`` or
+    ``STUCK``.
     ``value`` is the standard deviation, m, of a skid, an offset, or a displaced machine. Of a slip or a bias
     that changed earlier it is the time since then, s, in which the offset of a coarse receiver absorbed it.
     """

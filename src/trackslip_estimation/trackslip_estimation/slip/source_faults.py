@@ -93,6 +93,12 @@ def has_failed_unit(state: State) -> bool:
 
 
 @compiled
+def has_staying_fixes(state: State) -> bool:
+    """Whether a branch assumes that the machine moves on while fixes jitter about one position."""
+    return bool((state.fault == IS_STAYING).any())
+
+
+@compiled
 def are_sources_consistent(state: State) -> bool:
     """Whether the latest fix, angle or velocity of each source without a fault agreed with the branch."""
     for source in range(state.fault.size):
@@ -193,7 +199,7 @@ def can_be_repetition(update: Update, c: Config) -> bool:
 
 @compiled
 def weigh_repeat(kind: int, o: Observation, is_staying: bool, c: Config, update: Update) -> None:
-    """Set the evidence of a source that repeats its measurement, or stays, from the distance to the last one.
+    """Set the evidence of a source that repeats its measurement, or stays, from the distance to where it was.
 
     A source that stays and jitters cannot be distinguished from a machine that is stuck. Such a fix is
     *tied*: it gets the likelihood of the most probable branch that may use it (``bank.rows``). Angles with

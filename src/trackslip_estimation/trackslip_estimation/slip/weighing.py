@@ -86,6 +86,7 @@ if TYPE_CHECKING:
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 _ANGLE_ERROR_TIME = 1.0  # correlation time of errors of a compass or an encoder, s
+_PLACE_TIME = 1.0  # s over which fixes that stay are averaged: slower ones may creep
 
 
 @inlined
@@ -100,7 +101,7 @@ def weigh_and_update(
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
         update.stated = position_stddev(stated)
         update.coarse = 0 if quality_of(update.stated, c) == PRECISE else 1
-    _set_repeat_distance(state, measurement, update)
+    _set_repeat_distance(state, measurement, elapsed, update)
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
         _set_measured_position(state, source, o, update, c)
@@ -300,11 +301,22 @@ def _weigh(
 
 
 @compiled
-def _set_repeat_distance(state: State, measurement: MeasurementRecord, update: Update) -> None:
-    """Set the squared distance of a measurement from the source's previous one, and store it as the last."""
+def _set_repeat_distance(
+    state: State, measurement: MeasurementRecord, elapsed: float, update: Update
+) -> None:
+    """Set the squared distance of a measurement from the source's previous one, and store it as the last.
+
+    Fixes of a source that stays are compared with their mean over ``_PLACE_TIME``: those of a machine that
+    moves again leave it. ``elapsed``: s since the previous one.
+    """
     last, z = state.last_value[measurement.source], measurement.value
     update.squared_repeat_distance = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
-    last[X], last[Y] = z[X], z[Y]
+    if state.fault[measurement.source] == IS_STAYING:
+        share = -math.expm1(-elapsed / _PLACE_TIME)
+        last[X] += share * (z[X] - last[X])
+        last[Y] += share * (z[Y] - last[Y])
+    else:
+        last[X], last[Y] = z[X], z[Y]
 
 
 @compiled

@@ -26,6 +26,12 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
+from trackslip_estimation.slip.bank.plausibility import (
+    PERIOD,
+    implausibility,
+    is_stuck,
+    slip_range_penalty,
+)
 from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
 from trackslip_estimation.slip.events import (
     BECAME_JUMP,
@@ -50,13 +56,11 @@ from trackslip_estimation.slip.late_stamps import log_odds_of_delay
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing, is_moved_by_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, SLIPS, TRACKS, VELOCITY
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
-    IS_MISCOUNTING,
     IS_OFFSET,
     IS_SCATTERING,
     IS_WANDERING,
@@ -81,7 +85,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
-_SLIP_TIME = 0.5  # s in which an implausible slip costs a branch its penalty once
 _WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
 
 
@@ -119,7 +122,8 @@ def create_children(window: Window, k: int, c: Config) -> int:
 def create_failure_children(window: Window, k: int, c: Config) -> int:
     """Add to the pool the branches of row k, and children of those that reject yaw rate or odometry k.
 
-    In each child a unit does not measure the motion. Returns the number of branches and children.
+    In each child a unit does not measure the motion, or a machine that was stuck grips again. Returns the
+    number of branches and children.
     """
     copy_row_to_pool(window, k)
     shows_motion = window.measurements[k].kind != SLIPS
@@ -127,12 +131,14 @@ def create_failure_children(window: Window, k: int, c: Config) -> int:
         is_rejected, weight = update_of(window, p, k).evidence != 0.0, window.branches[p, k - 1].weight
         if is_rejected and shows_motion and weight >= -c.bank.spawns and has_velocity_errors(c):
             make_failure_children(window, p, k, 0.0, c)
+            if is_stuck(window.states[p, k - 1], c):
+                add_child_since_snapshot(window, p, k, SLIPPED, window.measurements[k].source, 0, 0.0, c)
     return int(window.status[0].pooled)
 
 
 @compiled
 def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
-    """Lower the weight of branch s of row k by lasting faults and an implausible slip; update its CUSUM."""
+    """Lower the weight of branch s of row k by lasting faults and an implausible motion; update its CUSUM."""
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
@@ -143,7 +149,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     for unit in range(MOST_SOURCES):
         if measurement.kind in (POSE, VELOCITY) and is_failed(state.fault[unit]):
             branch.weight -= elapsed_s / c.events.fault_time
-    branch.weight -= slip_range_penalty(state, c) * min(elapsed_s / _SLIP_TIME, 1.0)
+    branch.weight -= implausibility(state, c) * min(elapsed_s / PERIOD, 1.0)
     follows = measurement.kind == POSE and is_displacement_measured(fault)
     if measurement.kind == VELOCITY:  # at standstill slip is not observable
         follows = fault == IS_HEALTHY and state.motion.motion != _STANDING
@@ -151,17 +157,6 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
             branch.cusum[i] = max(branch.cusum[i] + min(e, c.bank.cusum_largest) - c.bank.cusum_drift, 0.0)
-
-
-@compiled
-def slip_range_penalty(state: State, c: Config) -> float:
-    """Reduction of ln of a branch's weight for an i₀ outside its physical range."""
-    if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
-        return 0.0
-    low, high = c.bank.least_slip, c.bank.most_slip
-    excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
-    variance = c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
-    return float(excess * excess / (2.0 * variance))
 
 
 @compiled
@@ -198,7 +193,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
 @compiled
 def _log_odds_of_stamp_delay(m: MeasurementRecord, before: State, c: Config) -> float:
     """ln of the odds that all fixes up to this one have late or early stamps; −∞ of other measurements."""
-    is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE)
+    is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE) and not is_stuck(before, c)
     return log_odds_of_delay(before, m.source, c) if is_fix else -math.inf
 
 

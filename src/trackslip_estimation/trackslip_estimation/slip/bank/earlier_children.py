@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import add_child, add_child_since_snapshot, distance_since_snapshot
+from trackslip_estimation.slip.bank.plausibility import is_stuck
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of
 from trackslip_estimation.slip.events import (
@@ -23,6 +24,7 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     STAYS,
+    STUCK,
     SWUNG,
     TURNED,
     UNKNOWN_HEADING,
@@ -66,6 +68,9 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
     penalty = correlated_penalty(window, p, k, c)
     if has_moved and has_velocity_errors(c):
         add_child_since_snapshot(window, p, k, SLIPPED, source, 0, -penalty, c)
+        if not is_stuck(before, c):
+            stuck = math.log(c.events.stuck_share) - penalty
+            add_child_since_snapshot(window, p, k, SLIPPED, source, STUCK, stuck, c)
     if not implausible and _is_probably_outlier(window, p, k, c):
         return
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)

@@ -35,6 +35,7 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     STAYS,
+    STUCK,
     SWUNG,
     TURNED,
     WANDERS,
@@ -119,9 +120,9 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
     if e.event == SWUNG:
         return _reset_swing(state, e, c)
     if e.event in (SLIPPED, SLID):
-        P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if e.event == SLID else 0.0
-    elif e.event == BIASED:
+        return _change_slip(state, e, c)
+    if e.event == BIASED:
         _inflate_gyro_bias(P, max(e.value, c.events.bias_unseen), c)
     elif e.event == WANDERS:
         begin_wander(state.offsets[pose_source_number(source, c)].wander, P, c)
@@ -132,7 +133,7 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
         P[Y, Y] += e.value**2
     elif e.event == FAILED:
         return _inflate_failed_state(state, e, previous_fault, c)
-    if e.event in (SLIPPED, BIASED) and e.value > 0.0:
+    if e.event == BIASED and e.value > 0.0:
         return _move_offset_to_position(state, source, c)
     return 0
 
@@ -206,6 +207,8 @@ def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> 
         return reset_states | _POSITION if e.event == BECAME_JUMP else reset_states
     if source == TRACKS and previous_fault == IS_MISCOUNTING:
         return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
+    if source == TRACKS and has_velocity_errors(c):
+        _open_slip(state, 0.0, c)
     return 0
 
 
@@ -227,6 +230,39 @@ def _move_offset_to_position(state: State, source: int, c: Config) -> int:
     reset_states = _end_offset(state, source, c)
     to_measured_position(x, P, source, -1.0, c)
     return reset_states | _POSITION
+
+
+@compiled
+def _change_slip(state: State, e: EventRecord, c: Config) -> int:
+    """Change i₀ at an unknown moment up to the measurement that shows it; return the reset states.
+
+    An earlier change, which the offset of a coarse receiver hid, moves that offset into the position.
+    """
+    x, P, before = state.mean, state.covariance[:], state.mean[COMMON_SLIP]
+    is_stuck = e.event == SLIPPED and e.part == STUCK
+    changed = (1.0 - before) ** 2 if is_stuck else _open_slip(state, c.events.slip_stddev**2, c)
+    distance = c.rolling_radius * (state.speeds.left + state.speeds.right) / 2.0
+    distance *= (e.decided_ns - state.stamp_ns) * 1e-9
+    variance, cos, sin = changed * distance * distance / 12.0, math.cos(x[YAW]), math.sin(x[YAW])
+    P[X, X] += variance * cos * cos
+    P[Y, Y] += variance * sin * sin
+    P[X, Y] += variance * cos * sin
+    P[Y, X] += variance * cos * sin
+    if is_stuck:
+        return _reset_state(state, COMMON_SLIP, 1.0, c.bank.slip_excess**2, c)
+    return _move_offset_to_position(state, e.source, c) if e.event == SLIPPED and e.value > 0.0 else 0
+
+
+@compiled
+def _open_slip(state: State, variance: float, c: Config) -> float:
+    """Open i₀ for a change: from its latest value or, as likely, to its prior, as a machine grips again.
+
+    Returns the mean square of the change.
+    """
+    apart = state.mean[COMMON_SLIP] - c.prior_mean[COMMON_SLIP]
+    state.mean[COMMON_SLIP] -= apart / 2.0
+    state.covariance[COMMON_SLIP, COMMON_SLIP] += variance + apart * apart / 4.0
+    return float(variance + apart * apart / 2.0)
 
 
 @compiled

@@ -25,9 +25,9 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.children import (
     create_children,
     create_failure_children,
-    slip_range_penalty,
 )
 from trackslip_estimation.slip.bank.event_effects import apply_event
+from trackslip_estimation.slip.bank.plausibility import implausibility
 from trackslip_estimation.slip.bank.pool import (
     copy_row_to_pool,
     fill_row_from_pool,
@@ -195,7 +195,7 @@ def prune_row(window: Window, k: int, total: int, c: Config) -> None:
                 branch.weight = -math.inf
         for h in range(count, total):
             branch, state = window.pool_branches[h], window.pool_states[h]
-            branch.weight -= slip_range_penalty(state, c)
+            branch.weight -= implausibility(state, c)
             branch.cusum[:] = 0.0
             if state.fault[measurement.source] == IS_IGNORED:  # only for this measurement
                 state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0

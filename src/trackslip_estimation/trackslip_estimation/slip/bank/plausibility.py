@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""How implausible the motion is that a branch assumes; compiled.
+
+Fixes and yaw rates are used with any slip, and with any turning efficiency. So the likelihood of the motion
+itself lowers ln of the branch's weight, once in ``PERIOD``.
+
+    i₀       slip common to both tracks
+    D        difference of both track speeds over the tread: yaw rate without slip      rad/s
+    ω        yaw rate                                                                   rad/s
+    e        ω/D, turning efficiency
+
+Tracks that grip turn the machine too, and tracks that spin do not: e/(1 − i₀) is between ``_LEAST_TURN``
+and 1. Sprockets that do not measure the motion show its yaw rate by chance only.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
+from trackslip_estimation.slip.models.model import GYRO_BIAS
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, YAW_RATE_ERROR
+from trackslip_estimation.slip.records import TRACKS
+from trackslip_estimation.slip.source_faults import IS_FAILED, IS_MISCOUNTING, has_staying_fixes
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
+PERIOD = 0.5  # s, correlation time of the motion
+_TURNING = 0.1  # rad/s, least D of a turn
+_LEAST_TURN = 0.25  # of a machine with long tracks on ground that grips well
+_MOST = 3.0  # of an implausible turn: tracks lag behind, and encoders err
+_SHARE = 0.15  # of the yaw rate, standard deviation of what the tracks predict
+_USUAL_RATES = 2.0  # rad/s, range of what failed sprockets show
+_LOG_TWO_PI = math.log(2.0 * math.pi)
+
+
+@compiled
+def is_stuck(state: State, c: Config) -> bool:
+    """Whether a branch assumes that the tracks spin: i₀ is nearer to 1 than a usual change of slip."""
+    return bool(has_velocity_errors(c) and state.mean[COMMON_SLIP] > 1.0 - 2.0 * c.events.slip_stddev)
+
+
+@compiled
+def implausibility(state: State, c: Config) -> float:
+    """Reduction of ln of a branch's weight for the motion that it assumes."""
+    if not has_velocity_errors(c):
+        return 0.0
+    if state.fault[TRACKS] == IS_FAILED:
+        return min(_chance_agreement(state, c), _MOST)
+    return slip_range_penalty(state, c) + min(_turn_penalty(state, c), _MOST)
+
+
+@compiled
+def slip_range_penalty(state: State, c: Config) -> float:
+    """Reduction of ln of a branch's weight for an i₀ outside its physical range."""
+    if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
+        return 0.0
+    low, high = c.bank.least_slip, c.bank.most_slip
+    excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
+    variance = c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
+    return float(excess * excess / (2.0 * variance))
+
+
+@compiled
+def _turn_penalty(state: State, c: Config) -> float:
+    """The reduction for a stuck machine that turns, or one that does not although only its fixes stay."""
+    left, right, P, i_0 = state.speeds.left, state.speeds.right, state.covariance, state.mean[COMMON_SLIP]
+    D = c.rolling_radius * (right - left) / c.tread
+    spins, stays = is_stuck(state, c), has_staying_fixes(state)
+    if abs(D) < _TURNING or state.coasting or not (spins or stays):
+        return 0.0
+    e = twist(state.mean[: c.size], left, right, c)[2] / D
+    excess = max(e - (1.0 - i_0) if spins else _LEAST_TURN * (1.0 - i_0) - e, 0.0)
+    variance = c.bank.slip_excess**2 + P[COMMON_SLIP, COMMON_SLIP] + P[YAW_RATE_ERROR, YAW_RATE_ERROR] / D**2
+    return float(excess * excess / (2.0 * variance))
+
+
+@compiled
+def _chance_agreement(state: State, c: Config) -> float:
+    """ln of the odds that sprockets which show the yaw rate measure it, against failed ones; at least 0."""
+    sample, P = state.sample, state.covariance
+    if not (sample.known and state.coasting):
+        return 0.0
+    x = state.mean[: c.size].copy()
+    rate = x[YAW_RATE_ERROR]
+    x[YAW_RATE_ERROR] = 0.0
+    shown = twist(x, sample.speeds.left, sample.speeds.right, c)[2]
+    if abs(shown) < _TURNING:
+        return 0.0
+    variance = P[YAW_RATE_ERROR, YAW_RATE_ERROR] + P[GYRO_BIAS, GYRO_BIAS] + (_SHARE * shown) ** 2
+    healthy = -((shown - rate) ** 2) / (2.0 * variance) - (math.log(variance) + _LOG_TWO_PI) / 2.0
+    return float(max(healthy + math.log(_USUAL_RATES), 0.0))
