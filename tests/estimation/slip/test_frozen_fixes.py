@@ -169,3 +169,18 @@ def test_gyro_that_shows_turns_speaks_against_a_stuck_machine(rate: int) -> None
     found = score(of_receiver(machine, frozen=STATED))
     assert found.nees <= 5.0
     assert found.inconsistent <= 0.06
+
+
+def test_machine_is_named_stuck_until_it_grips_again() -> None:
+    """Longer than other events are named: for 40 s."""
+    machine = Machine(
+        duration=75.0, fix_noise=STATED, fix_stated=STATED, fix_rate=5, track_error=0.03, stuck=(BEGIN, 60.0)
+    )
+    case = of_receiver(machine)
+    estimator, named = SlipEstimator(case.parameters), dict[int, str]()
+    for m in case.measurements:
+        estimator.process(m)
+        for best in estimator.competing_explanations.explanations[:1]:
+            named[int(seconds(m))] = best.text
+    assert all(named[t].startswith("the machine is stuck: both tracks slip ") for t in range(28, 60))
+    assert not any(named[t].startswith("the machine is stuck") for t in range(64, 75))

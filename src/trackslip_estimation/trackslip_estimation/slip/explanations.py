@@ -19,7 +19,8 @@ from trackslip_estimation.slip.window import Window
 if TYPE_CHECKING:
     from trackslip_estimation.slip.records import Branch, EventRecord, State
 
-_RECENT_NS = 30_000_000_000  # age up to which an event is an explanation
+_RECENT_NS = 30_000_000_000  # age up to which an event is an explanation; a machine is stuck until it grips
+_STUCK = 0.8  # i₀ of a machine that is stuck
 _LEAST_PROBABILITY = 0.005  # smallest probability of an explanation
 _CALM_PROBABILITY = 0.9  # probability of no event from which on no explanations compete
 _MOST_NAMED = 3  # largest number of explanations by name
@@ -213,15 +214,17 @@ def _branch_explanation(
             return f"{kind} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
     count = int(branch["events"])
     events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
-    healthy: set[int] = set()  # sources whose fault has ended
+    healthy, slip = set[int](), float(state["mean"][COMMON_SLIP])  # sources whose fault has ended; i₀
     for n, e in reversed(list(enumerate(events))):
         event, source, stamp_ns = Event(e["event"]), int(e["source"]), int(e["decided_ns"])
-        if state["stamp_ns"] - stamp_ns > _RECENT_NS:
-            break
+        is_stuck = event is Event.SLIPPED and slip > _STUCK
+        if state["stamp_ns"] - stamp_ns > _RECENT_NS and not is_stuck:
+            continue
         if event is Event.RECOVERED:
             healthy.add(source)
         elif event is Event.SLIPPED:
-            text = f"both tracks slip {100.0 * state['mean'][COMMON_SLIP]:.0f} %"
+            text = f"both tracks slip {100.0 * slip:.0f} %"
+            text = f"the machine is stuck: {text}" if is_stuck else text
             return event.name, Explanation(text, 0.0, stamp_ns)
         elif _is_sector_event(e):
             if not is_heading_known:

@@ -26,12 +26,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
-from trackslip_estimation.slip.bank.plausibility import (
-    PERIOD,
-    implausibility,
-    is_stuck,
-    slip_range_penalty,
-)
+from trackslip_estimation.slip.bank.plausibility import PERIOD, implausibility, is_stuck, slip_range_penalty
 from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
 from trackslip_estimation.slip.events import (
     BECAME_JUMP,

@@ -22,10 +22,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.slip.bank.children import (
-    create_children,
-    create_failure_children,
-)
+from trackslip_estimation.slip.bank.children import create_children, create_failure_children
 from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.plausibility import implausibility
 from trackslip_estimation.slip.bank.pool import (
