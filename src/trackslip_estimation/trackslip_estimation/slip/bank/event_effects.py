@@ -236,33 +236,31 @@ def _move_offset_to_position(state: State, source: int, c: Config) -> int:
 def _change_slip(state: State, e: EventRecord, c: Config) -> int:
     """Change i₀ at an unknown moment up to the measurement that shows it; return the reset states.
 
-    An earlier change, which the offset of a coarse receiver hid, moves that offset into the position.
+    Where the machine is stuck or grips again, the moment matters to the position along the path. An earlier
+    change, which the offset of a coarse receiver hid, moves that offset into the position.
     """
-    x, P, before = state.mean, state.covariance[:], state.mean[COMMON_SLIP]
+    x, P, apart = state.mean, state.covariance[:], state.mean[COMMON_SLIP] - c.prior_mean[COMMON_SLIP]
     is_stuck = e.event == SLIPPED and e.part == STUCK
-    changed = (1.0 - before) ** 2 if is_stuck else _open_slip(state, c.events.slip_stddev**2, c)
+    change = 1.0 - apart if is_stuck else apart
     distance = c.rolling_radius * (state.speeds.left + state.speeds.right) / 2.0
-    distance *= (e.decided_ns - state.stamp_ns) * 1e-9
-    variance, cos, sin = changed * distance * distance / 12.0, math.cos(x[YAW]), math.sin(x[YAW])
+    distance *= change * (e.decided_ns - state.stamp_ns) * 1e-9
+    variance, cos, sin = distance * distance / 12.0, math.cos(x[YAW]), math.sin(x[YAW])
     P[X, X] += variance * cos * cos
     P[Y, Y] += variance * sin * sin
     P[X, Y] += variance * cos * sin
     P[Y, X] += variance * cos * sin
     if is_stuck:
         return _reset_state(state, COMMON_SLIP, 1.0, c.bank.slip_excess**2, c)
+    _open_slip(state, c.events.slip_stddev**2, c)
     return _move_offset_to_position(state, e.source, c) if e.event == SLIPPED and e.value > 0.0 else 0
 
 
 @compiled
-def _open_slip(state: State, variance: float, c: Config) -> float:
-    """Open i₀ for a change: from its latest value or, as likely, to its prior, as a machine grips again.
-
-    Returns the mean square of the change.
-    """
+def _open_slip(state: State, variance: float, c: Config) -> None:
+    """Open i₀ for a change: from its latest value or, as likely, to its prior, as a machine grips again."""
     apart = state.mean[COMMON_SLIP] - c.prior_mean[COMMON_SLIP]
     state.mean[COMMON_SLIP] -= apart / 2.0
     state.covariance[COMMON_SLIP, COMMON_SLIP] += variance + apart * apart / 4.0
-    return float(variance + apart * apart / 2.0)
 
 
 @compiled
