@@ -48,7 +48,10 @@ def assert_ends_quietly(programs, program):
 
 def test_demo_leaves_numbers_report_and_bag(real_time, programs):
     program = demo(programs, "--duration", "5")
-    assert program.wait() == 0, program.stdout + program.stderr
+    code = program.wait()
+    missed = [line for line in program.stderr.splitlines() if line.startswith("missed: ")]
+    assert all("% received" in line for line in missed)  # beside other tests it may lose messages
+    assert code == (1 if missed else 0), program.stdout + program.stderr
     folder = programs.folder / "demo"
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert summary["replay_matches"] is True
@@ -62,7 +65,7 @@ def test_demo_leaves_numbers_report_and_bag(real_time, programs):
         in_bag = {connection.topic: connection.msgcount for connection in reader.connections}
     for topic, counts in summary["topics"].items():
         assert counts["recorded"] == in_bag[f"/{topic}"]
-        assert counts["emitted"] >= counts["received"] >= 0.9 * counts["emitted"] > 0  # beside other tests
+        assert counts["emitted"] >= counts["received"] >= 0.9 * counts["emitted"] > 0
     assert (folder / "report.html").read_text(encoding="utf-8").startswith(PAGE_PREFIX)
     assert "report: demo/report.html" in program.stdout
     assert programs.alive() == {}

@@ -315,7 +315,7 @@ def test_lifecycle(bench, programs, observer, node):
         assert messages == []
     assert observer.change(node, "cleanup")
     assert observer.state(node) == "unconfigured"
-    assert observer.node.count_publishers(TOPIC[node]) == 0
+    observer.wait(lambda: observer.node.count_publishers(TOPIC[node]) == 0, "the topic to go")
     assert observer.change(node, "configure")
     assert observer.change(node, "activate")
     observer.wait(lambda: messages, f"messages of {node} after its cleanup")
