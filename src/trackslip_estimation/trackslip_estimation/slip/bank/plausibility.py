@@ -10,8 +10,8 @@ itself lowers ln of the branch's weight, once in ``PERIOD``.
     ω        yaw rate                                                                   rad/s
     e        ω/D, turning efficiency
 
-Tracks that grip turn the machine too, and tracks that spin do not: e/(1 − i₀) is between ``_LEAST_TURN``
-and 1. Sprockets that do not measure the motion show its yaw rate by chance only.
+Tracks that grip turn the machine too, and tracks that spin do not: e/(1 − i₀) is between
+``_LEAST_EFFICIENCY`` and 1. Sprockets that do not measure the motion show its yaw rate by chance only.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 PERIOD = 0.5  # s, correlation time of the motion
-_TURNING = 0.1  # rad/s, least D of a turn
-_LEAST_TURN = 0.25  # of a machine with long tracks on ground that grips well
-_MOST = 3.0  # of an implausible turn: tracks lag behind, and encoders err
-_SHARE = 0.15  # of the yaw rate, standard deviation of what the tracks predict
-_USUAL_RATES = 2.0  # rad/s, range of what failed sprockets show
+_LEAST_RATE = 0.1  # rad/s, of D in a turn
+_LEAST_EFFICIENCY = 0.25  # e/(1 − i₀) of a machine with long tracks on ground that grips well
+_LARGEST_REDUCTION = 3.0  # by an implausible turn: the machine lags behind its tracks, and encoders err
+_RATE_SHARE = 0.15  # of the yaw rate, standard deviation of what the tracks predict
+_RATE_RANGE = 2.0  # rad/s, range of what failed sprockets show
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
@@ -51,8 +51,8 @@ def implausibility(state: State, c: Config) -> float:
     if not has_velocity_errors(c):
         return 0.0
     if state.fault[TRACKS] == IS_FAILED:
-        return min(_chance_agreement(state, c), _MOST)
-    return slip_range_penalty(state, c) + min(_turn_penalty(state, c), _MOST)
+        return min(_chance_agreement(state, c), _LARGEST_REDUCTION)
+    return slip_range_penalty(state, c) + min(_turn_penalty(state, c), _LARGEST_REDUCTION)
 
 
 @compiled
@@ -72,10 +72,10 @@ def _turn_penalty(state: State, c: Config) -> float:
     left, right, P, i_0 = state.speeds.left, state.speeds.right, state.covariance, state.mean[COMMON_SLIP]
     D = c.rolling_radius * (right - left) / c.tread
     spins, stays = is_stuck(state, c), has_staying_fixes(state)
-    if abs(D) < _TURNING or state.coasting or not (spins or stays):
+    if abs(D) < _LEAST_RATE or state.coasting or not (spins or stays):
         return 0.0
     e = twist(state.mean[: c.size], left, right, c)[2] / D
-    excess = max(e - (1.0 - i_0) if spins else _LEAST_TURN * (1.0 - i_0) - e, 0.0)
+    excess = max(e - (1.0 - i_0) if spins else _LEAST_EFFICIENCY * (1.0 - i_0) - e, 0.0)
     variance = c.bank.slip_excess**2 + P[COMMON_SLIP, COMMON_SLIP] + P[YAW_RATE_ERROR, YAW_RATE_ERROR] / D**2
     return float(excess * excess / (2.0 * variance))
 
@@ -90,8 +90,8 @@ def _chance_agreement(state: State, c: Config) -> float:
     rate = x[YAW_RATE_ERROR]
     x[YAW_RATE_ERROR] = 0.0
     shown = twist(x, sample.speeds.left, sample.speeds.right, c)[2]
-    if abs(shown) < _TURNING:
+    if abs(shown) < _LEAST_RATE:
         return 0.0
-    variance = P[YAW_RATE_ERROR, YAW_RATE_ERROR] + P[GYRO_BIAS, GYRO_BIAS] + (_SHARE * shown) ** 2
+    variance = P[YAW_RATE_ERROR, YAW_RATE_ERROR] + P[GYRO_BIAS, GYRO_BIAS] + (_RATE_SHARE * shown) ** 2
     healthy = -((shown - rate) ** 2) / (2.0 * variance) - (math.log(variance) + _LOG_TWO_PI) / 2.0
-    return float(max(healthy + math.log(_USUAL_RATES), 0.0))
+    return float(max(healthy + math.log(_RATE_RANGE), 0.0))
