@@ -17,6 +17,11 @@ class GroundParameters(Parameters):
     lag: float = parameter(
         "largest yaw rate against the turn of the tracks, over the yaw rate without slip", ge=0.0
     )
+    other_turn: float = parameter(
+        "change of the yaw rate without slip at which a gyro cannot repeat a reading to the last bit",
+        unit="rad/s",
+        gt=0.0,
+    )
     agreement: float = parameter(
         "largest difference of consistent yaw rates, over the yaw rate without slip", gt=0.0
     )

@@ -56,7 +56,7 @@ from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Streak, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, Reading, State, Streak, Update
 
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
@@ -140,7 +140,9 @@ def update_with_rate(
     limit, innovation = c.gate_limits[1], o.innovation[0]
     update.dof, update.gate = 1, gate_limit(state, measurement, 1, c)
     measured, measured_variance = _measured_rate(state, measurement, o.noise[0, 0], c)
-    is_physical = np.isinf(limit) or not _is_impossible_rate(measured, measured_variance, left, right, c)
+    is_wrong = _is_impossible_rate(measured, measured_variance, left, right, c)
+    is_wrong = _is_frozen(state.readings[source], measurement, left, right, c) or is_wrong
+    is_physical = np.isinf(limit) or not is_wrong
     S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
     least_nis = nis = innovation * innovation / S
     if is_physical and has_velocity_errors(c) and not state.coasting:
@@ -148,7 +150,7 @@ def update_with_rate(
         is_standing = state.motion.motion == _STANDING
         least_nis = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, is_standing, c)
     streak = state.streaks[source]
-    is_new_ground = nis > limit or streak.count > 0
+    is_new_ground = is_physical and (nis > limit or streak.count > 0)
     is_new_ground = is_new_ground and _has_ground_changed(measured, x, streak, left, right, c)
     if is_new_ground:
         streak.count = 0
@@ -206,6 +208,20 @@ def _is_impossible_rate(rate: float, variance: float, left: float, right: float,
     without_slip = _rate_without_slip(left, right, c)
     allowed = c.ground.against_tracks * np.sqrt(variance) + c.ground.lag * abs(without_slip)
     return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
+
+
+@compiled
+def _is_frozen(last: Reading, measurement: MeasurementRecord, left: float, right: float, c: Config) -> bool:
+    """Whether a gyro repeats a reading to the last bit although its tracks turn otherwise than at the first.
+
+    Within the timeout of the sprockets a unit may send one reading several times.
+    """
+    without_slip = _rate_without_slip(left, right, c)
+    if measurement.value[0] != last.value:
+        last.value, last.unchanged_ns, last.turned = measurement.value[0], measurement.stamp_ns, without_slip
+    has_repeated = measurement.stamp_ns - last.unchanged_ns > c.sprocket_timeout_ns
+    is_other_turn = abs(without_slip - last.turned) > c.ground.other_turn
+    return bool(has_velocity_errors(c) and has_repeated and is_other_turn)
 
 
 @compiled
