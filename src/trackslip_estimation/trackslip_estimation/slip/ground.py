@@ -22,6 +22,9 @@ class GroundParameters(Parameters):
         unit="rad/s",
         gt=0.0,
     )
+    longer_row: float = parameter(
+        "row of equal readings, over the longest earlier one, that shows a frozen gyro", ge=1.0
+    )
     agreement: float = parameter(
         "largest difference of consistent yaw rates, over the yaw rate without slip", gt=0.0
     )

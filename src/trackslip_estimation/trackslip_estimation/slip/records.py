@@ -91,8 +91,9 @@ class Reading(Record):
     stamp_ns: int  # NEVER_NS: none
     sprocket_angles: Annotated[FloatArray, 2]  # of the state at this reading
     value: float  # of a gyro, rad/s; NaN: none
-    unchanged_ns: int  # stamp since when it is the same to the last bit
-    turned: float  # yaw rate without slip at that stamp, rad/s
+    first_ns: int  # stamp of the first reading in a row of this value
+    without_slip: float  # yaw rate without slip at that stamp, rad/s
+    longest_ns: int  # duration of the longest earlier row of equal readings
 
 
 class Streak(Record):

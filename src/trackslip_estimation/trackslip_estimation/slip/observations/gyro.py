@@ -15,7 +15,7 @@ the square of the largest swing rate.
 In a turn any yaw rate between zero and that without slip is possible on some ground. If several such readings
 in a row are outside the gate and agree with each other, the ground has changed: the variances of the turn
 states and of i₀ are inflated by those at the start. A rotation against the tracks is possible on no ground.
-Such a reading is always rejected: it reveals a gyro mounted upside down.
+Such a reading is always rejected: it reveals a gyro mounted upside down. So are those of a frozen gyro.
 
 A gyro is compared with the mean speeds of the sprockets since its last reading, as far as rounding explains
 their difference from the newest speeds. So the rounding error of one comparison is cancelled by the next.
@@ -56,7 +56,7 @@ from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, Prior, Reading, State, Streak, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Streak, Update
 
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
@@ -136,12 +136,12 @@ def update_with_rate(
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
     o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
     left, right = _speeds_to_compare(state, source, measurement.stamp_ns, c)
+    is_frozen = _is_frozen(state, measurement, left, right, c)
     store_reading(state, source, measurement.stamp_ns)
     limit, innovation = c.gate_limits[1], o.innovation[0]
     update.dof, update.gate = 1, gate_limit(state, measurement, 1, c)
     measured, measured_variance = _measured_rate(state, measurement, o.noise[0, 0], c)
-    is_wrong = _is_impossible_rate(measured, measured_variance, left, right, c)
-    is_wrong = _is_frozen(state.readings[source], measurement, left, right, c) or is_wrong
+    is_wrong = is_frozen or _is_impossible_rate(measured, measured_variance, left, right, c)
     is_physical = np.isinf(limit) or not is_wrong
     S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
     least_nis = nis = innovation * innovation / S
@@ -211,17 +211,22 @@ def _is_impossible_rate(rate: float, variance: float, left: float, right: float,
 
 
 @compiled
-def _is_frozen(last: Reading, measurement: MeasurementRecord, left: float, right: float, c: Config) -> bool:
+def _is_frozen(state: State, measurement: MeasurementRecord, left: float, right: float, c: Config) -> bool:
     """Whether a gyro repeats a reading to the last bit although its tracks turn otherwise than at the first.
 
-    Within the timeout of the sprockets a unit may send one reading several times.
+    A unit may send one reading several times, and one with few digits repeats it at rest. So the row must be
+    longer than any before.
     """
+    last, value, stamp_ns = state.readings[measurement.source], measurement.value[0], measurement.stamp_ns
     without_slip = _rate_without_slip(left, right, c)
-    if measurement.value[0] != last.value:
-        last.value, last.unchanged_ns, last.turned = measurement.value[0], measurement.stamp_ns, without_slip
-    has_repeated = measurement.stamp_ns - last.unchanged_ns > c.sprocket_timeout_ns
-    is_other_turn = abs(without_slip - last.turned) > c.ground.other_turn
-    return bool(has_velocity_errors(c) and has_repeated and is_other_turn)
+    if value != last.value:
+        last.longest_ns = max(last.longest_ns, last.stamp_ns - last.first_ns)
+        last.value, last.first_ns, last.without_slip = value, stamp_ns, without_slip
+    usual_ns = max(c.sprocket_timeout_ns, c.ground.longer_row * last.longest_ns)
+    turn = abs(without_slip - last.without_slip)
+    is_turn = turn > c.ground.other_turn and has_velocity_errors(c)
+    by_rounding = is_explained_by_rounding(turn * c.tread / (2.0 * c.rolling_radius), state.speeds)
+    return bool(is_turn and stamp_ns - last.first_ns > usual_ns and not by_rounding)
 
 
 @compiled
