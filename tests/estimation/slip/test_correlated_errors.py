@@ -21,6 +21,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.adaptation import correlated_inflation, largest_correlated_inflation
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.correlated_errors import (
+    FOLLOWED,
     MASSES,
     PRECISE,
     RECEIVER,
@@ -282,7 +283,7 @@ def test_receiver_errors_do_not_depend_on_the_order_of_arrival(seed: int, order:
             estimator.process(m)
         windows.append(estimator.window)
     one, other = (np.asarray(w.receivers[w.count - 1, 0]) for w in windows)
-    assert one["known"] == 1
+    assert one["status"] == FOLLOWED
     assert one.tobytes() == other.tobytes()
 
 

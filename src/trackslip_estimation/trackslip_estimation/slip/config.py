@@ -91,7 +91,7 @@ class Config(Record):
     heading_floor: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_ceiling: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_offset: Annotated[FloatArray, MOST_SOURCES]  # rad
-    of_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether the source measures swing angles
+    measures_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether the source measures swing angles
     velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
     body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether velocities are along the sensor's axes
     repeat_times: Annotated[FloatArray, MOST_SOURCES]  # correlation time of fixes from the upper structure, s
@@ -205,7 +205,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         c["stamp_errors"][k] = compass.stamp_error
     for name, encoder in p.swing_encoders().items():
         k = numbers[name]
-        c["heading_offset"][k], c["of_swing"][k] = encoder.offset, 1
+        c["heading_offset"][k], c["measures_swing"][k] = encoder.offset, 1
     for name, velocity in p.velocities().items():
         k = numbers[name]
         c["levers"][k], c["velocity_floor"][k] = velocity.lever, velocity.velocity_floor

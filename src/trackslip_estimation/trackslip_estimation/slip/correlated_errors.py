@@ -40,6 +40,11 @@ if TYPE_CHECKING:
 MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
 QUALITIES = 3  # of fixes: precise; float ambiguities; code only
 PRECISE = 0
+NO_FIX, FOLLOWED, INTERRUPTED = (
+    0,
+    1,
+    2,
+)  # without a fix; the displacement since the last one is known; unknown
 
 _WHITE_F = np.exp(0.35 * (np.arange(13) - 2 + np.maximum(np.arange(13) - 8, 0)))
 _F, _G, _TIMES = (0.01, 0.1, 0.4, 1.0, 3.0), (0.3, 1.0, 3.0, 10.0, 30.0), (10.0, 30.0, 100.0)
@@ -77,7 +82,7 @@ class FixErrors(Record):
 class Receiver(Record):
     """Estimated errors of a source's fixes."""
 
-    known: int  # 0: no fix so far; 1: displacement since the last fix is known; 2: it is unknown
+    status: int  # NO_FIX, FOLLOWED or INTERRUPTED
     stddev: float  # as stated by the last fix, m
     errors: Annotated[Table[FixErrors], QUALITIES]
     elapsed: float  # since the last update of the masses, s
@@ -120,7 +125,7 @@ def is_same_quality(stddev: float, other: float, c: Config) -> bool:
 @compiled
 def reset_receiver(s: Receiver, c: Config) -> None:
     """Reset the record ``s`` of ``RECEIVER`` to its priors."""
-    s.known, s.stddev, s.elapsed, s.distance = 0, 0.0, 0.0, 0.0
+    s.status, s.stddev, s.elapsed, s.distance = NO_FIX, 0.0, 0.0, 0.0
     s.displacement[:] = s.recent_displacement[:] = s.residual[:] = s.last_position[:] = 0.0
     s.last_ns = 0
     for quality in range(QUALITIES):
@@ -157,11 +162,9 @@ def add_fix(
 ) -> None:
     """Update the masses of a source with one more fix; ``position``: measured position (2,), m."""
     quality = quality_of(stddev, c)
-    is_first, changes_quality = (
-        s.known != 1,
-        not is_same_quality(stddev, s.stddev, c) if s.known > 0 else False,
-    )
-    if s.known == 0:
+    is_first = s.status != FOLLOWED
+    changes_quality = s.status != NO_FIX and not is_same_quality(stddev, s.stddev, c)
+    if s.status == NO_FIX:
         for q in range(QUALITIES):
             masses.weights[q] = _log_priors(q, c)
     if is_first:
@@ -175,7 +178,7 @@ def add_fix(
             s.recent_displacement[axis] = decay * s.recent_displacement[axis] + s.displacement[axis]
         s.elapsed += elapsed
         s.errors[quality].observed += min(elapsed, c.receivers.longest_time)
-    s.known, s.stddev, s.last_ns = 1, stddev, stamp_ns
+    s.status, s.stddev, s.last_ns = FOLLOWED, stddev, stamp_ns
     s.displacement[:] = 0.0
     for axis in range(2):
         s.last_position[axis] = position[axis]

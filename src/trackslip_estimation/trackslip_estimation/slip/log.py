@@ -160,7 +160,7 @@ def best_branch_script(log: Log, p: SlipEstimatorParameters) -> Records:
     script = np.zeros(len(events), EVENT)
     for n, event in enumerate(events):
         script[n] = event
-    keys = script["stamp_ns"], script["kind"], script["of"], script["after"]
+    keys = (script[name] for name in ("stamp_ns", "step_kind", "step_source", "after"))
     return script[np.lexsort(keys[::-1])]
 
 

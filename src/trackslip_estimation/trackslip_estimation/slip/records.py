@@ -198,7 +198,7 @@ class State(Record):
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source
     last_value: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of each source; of fixes that stay, their mean
-    last_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
+    weighed_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
 
 
 STATE = dtype_of(State)
@@ -219,7 +219,7 @@ class Update(Record):
     measured_position: Annotated[FloatArray, 2]  # position of base_link by a coarse fix, m
     squared_repeat_distance: float  # from the previous measurement of the source, m², rad² or (m/s)²
     tied: int  # 0 or 1: takes the likelihood of the most probable branch that may use the fix
-    opened: int  # latest ``events.Event`` in this step
+    event: int  # latest ``events.Event`` in this step
     attitude: int  # ``AttitudeRejection`` of an IMU or a fix; 0: used, or not requested
     follows: bool  # whether the prior is the prediction of the previous state
     reset_states: int  # bit i: state i was reset in this step
@@ -255,9 +255,9 @@ class EventRecord(Record):
     part: int
     value: float
     decided_ns: int  # stamp of the measurement that the event explains
-    stamp_ns: int  # of the measurement of the step, as are kind and of
-    kind: int
-    of: int
+    stamp_ns: int  # of the measurement of the step
+    step_kind: int
+    step_source: int
     after: int  # 0: before the step, 1: after it
 
 

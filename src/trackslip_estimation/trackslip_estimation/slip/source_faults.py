@@ -102,7 +102,7 @@ def has_staying_fixes(state: State) -> bool:
 def are_sources_consistent(state: State) -> bool:
     """Whether the latest fix, angle or velocity of each source without a fault agreed with the branch."""
     for source in range(state.fault.size):
-        if state.fault[source] == IS_HEALTHY and state.last_ns[source] > state.consistent_ns[source]:
+        if state.fault[source] == IS_HEALTHY and state.weighed_ns[source] > state.consistent_ns[source]:
             return False
     return True
 
@@ -122,7 +122,7 @@ def propagate_faults(state: State, dt: float, c: Config) -> None:
     for source in range(state.fault.size):
         if state.fault[source] == IS_HEADING_WANDERING:
             index = c.yaw_offsets[source]
-            walk = c.events.swing_walk if c.of_swing[source] == 1 else c.events.heading_walk
+            walk = c.events.swing_walk if c.measures_swing[source] == 1 else c.events.heading_walk
             P[index, index] += walk**2 * dt
         elif state.fault[source] == IS_OFFSET and pose_source_number(source, c) < 0:
             for index in (c.offsets[source], c.offsets[source] + 1):

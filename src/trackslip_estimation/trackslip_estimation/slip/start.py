@@ -129,5 +129,5 @@ def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) 
         state.consistent_ns[k], state.received_ns[k] = stamp_ns, NEVER_NS
         state.readings[k].stamp_ns, state.readings[k].value = NEVER_NS, math.nan
         state.readings[k].first_ns, state.readings[k].longest_ns = NEVER_NS, 0
-        state.rejected_ns[k], state.last_ns[k], state.standstills[k].count = 0, stamp_ns, 0
+        state.rejected_ns[k], state.weighed_ns[k], state.standstills[k].count = 0, stamp_ns, 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

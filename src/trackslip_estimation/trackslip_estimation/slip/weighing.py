@@ -95,7 +95,7 @@ def weigh_and_update(
 ) -> None:
     """Weigh the branch by a measurement, and update the state with it; arguments as in ``update``."""
     kind, source, fault = measurement.kind, measurement.source, state.fault[measurement.source]
-    elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
+    elapsed = (measurement.stamp_ns - state.weighed_ns[source]) * 1e-9
     if kind == POSE:
         stated = stated_noise(measurement, state, c)
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
@@ -105,7 +105,7 @@ def weigh_and_update(
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
         _set_measured_position(state, source, o, update, c)
-    state.last_ns[source] = measurement.stamp_ns
+    state.weighed_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
     log_outlier = log_density_of_outlier(measurement, o, predicted, c)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from trackslip_common.clock_monitor import NEVER_NS, Clock
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record, Table, dtype_of, make_table
-from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, Masses, Receiver
+from trackslip_estimation.slip.correlated_errors import MASSES, NO_FIX, RECEIVER, Masses, Receiver
 from trackslip_estimation.slip.records import (
     BRANCH,
     ESTIMATE,
@@ -151,8 +151,8 @@ def enlarged_copy(window: Window) -> Window:
     larger.states[:rows, :count] = window.states[:rows, :count]
     larger.branches[:rows, :count] = window.branches[:rows, :count]
     larger.receivers[:count] = window.receivers[:count]
-    known = window.receivers["known"][:count].any(axis=0)
-    larger.masses[:count, known] = window.masses[:count, known]
+    has_fixes = (window.receivers["status"][:count] != NO_FIX).any(axis=0)
+    larger.masses[:count, has_fixes] = window.masses[:count, has_fixes]
     return larger
 
 
@@ -184,7 +184,7 @@ def copy_receivers(
     """Copy the receivers of entry ``before`` to entry k, and their masses if ``with_masses``."""
     for n in range(receivers.shape[1]):
         receivers[k, n] = receivers[before, n]
-        if with_masses and receivers[k, n].known != 0:
+        if with_masses and receivers[k, n].status != NO_FIX:
             masses[k, n] = masses[before, n]
 
 

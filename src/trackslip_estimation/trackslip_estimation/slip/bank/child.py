@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 def log_measurement_interval(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the source's previous measurement, s."""
     m = window.measurements[k]
-    elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
+    elapsed_ns = m.stamp_ns - window.states[p, k - 1].weighed_ns[m.source]
     return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
 
 
@@ -112,7 +112,7 @@ def add_child(
     branch.first, branch.fresh = first, 1
     value = _event_value(window, p, k, event, source, since, c)
     e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
-    update.opened = event
+    update.event = event
     update.reset_states = apply_event(state, e, c)
 
 

@@ -21,8 +21,8 @@ from trackslip_estimation.slip.bank.earlier_children import (
     correlated_penalty,
     has_recent_fix,
     make_earlier_children,
+    make_failed_unit_child,
     make_failure_children,
-    make_gyro_failure_child,
     make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
@@ -53,7 +53,16 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.swing import is_free_to_swing, is_moved_by_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, SLIPS, TRACKS, VELOCITY
+from trackslip_estimation.slip.records import (
+    GYROS,
+    HEADING,
+    MOST_SOURCES,
+    ON_SWING,
+    POSE,
+    SLIPS,
+    TRACKS,
+    VELOCITY,
+)
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_OFFSET,
@@ -137,7 +146,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
-    elapsed_s = (measurement.stamp_ns - window.states[s, k - 1].last_ns[source]) * 1e-9
+    elapsed_s = (measurement.stamp_ns - window.states[s, k - 1].weighed_ns[source]) * 1e-9
     branch.fresh = 0
     if fault != IS_HEALTHY:
         branch.weight -= elapsed_s / c.events.fault_time
@@ -216,11 +225,11 @@ def _is_jump_test_due(window: Window, s: int, k: int, c: Config) -> bool:
     times = _WANDER_TIMES if fault == IS_WANDERING else 1.0
     since_ns, period_ns = before.fault_ns[source], times * c.events.fault_time * 1e9
     for other in range(MOST_SOURCES):
-        same_angle = c.yaw_offsets[other] >= 0 and c.of_swing[other] == c.of_swing[source]
+        same_angle = c.yaw_offsets[other] >= 0 and c.measures_swing[other] == c.measures_swing[source]
         shows = pose_source_number(other, c) >= 0 if is_place else same_angle
         if other != source and shows and before.consistent_ns[other] > since_ns:
             return False  # this other source measures no jump
-    first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
+    first, last = before.weighed_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
     return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
 
 
@@ -379,4 +388,4 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         add_child(window, p, k, SWUNG, source, MEASURED, False, jumped, c)
     if m.kind == HEADING:
         add_child(window, p, k, TURNED, source, MEASURED, False, jumped, c)
-        make_gyro_failure_child(window, p, k, c)
+        make_failed_unit_child(window, p, k, GYROS, 0.0, c)

@@ -168,12 +168,7 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
     """
     before = window.states[p, k - 1]
     for unit in range(MOST_SOURCES):
-        if c.shows_motion[unit] == 0 or not _can_show_failure(window, p, k, unit, c):
-            continue
-        if before.fault[unit] == IS_HEALTHY:
-            add_child_since_snapshot(window, p, k, FAILED, unit, 0, -penalty, c)
-        elif before.fault[unit] == IS_MISCOUNTING:  # by another fault
-            add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
+        make_failed_unit_child(window, p, k, unit, penalty, c)
     if not _can_show_failure(window, p, k, GYROS, c):
         return
     if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
@@ -184,17 +179,20 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
     for other in range(MOST_SOURCES):
-        if c.of_swing[other] == 1 and before.fault[other] == IS_HEALTHY:
+        if c.measures_swing[other] == 1 and before.fault[other] == IS_HEALTHY:
             add_child_since_snapshot(window, p, k, REPEATS, other, 0, -penalty, c)
 
 
 @compiled
-def make_gyro_failure_child(window: Window, p: int, k: int, c: Config) -> None:
-    """Add the child of p in which the gyros have not measured the yaw rate; heading k contradicts p."""
-    before = window.states[p, k - 1]
-    can_show = c.shows_motion[GYROS] == 1 and _can_show_failure(window, p, k, GYROS, c)
-    if can_show and before.fault[GYROS] == IS_HEALTHY:
-        add_child_since_snapshot(window, p, k, FAILED, GYROS, 0, 0.0, c)
+def make_failed_unit_child(window: Window, p: int, k: int, unit: int, penalty: float, c: Config) -> None:
+    """Add the child of p in which a unit has not measured the motion, if measurement k can show it."""
+    fault = window.states[p, k - 1].fault[unit]
+    if c.shows_motion[unit] == 0 or not _can_show_failure(window, p, k, unit, c):
+        return
+    if fault == IS_HEALTHY:
+        add_child_since_snapshot(window, p, k, FAILED, unit, 0, -penalty, c)
+    elif fault == IS_MISCOUNTING:  # by another fault
+        add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
 
 
 @compiled

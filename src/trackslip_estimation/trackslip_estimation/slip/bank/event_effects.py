@@ -190,7 +190,7 @@ def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> 
     """End a fault of a source; BECAME_JUMP moves its offset into the measured state, except a swing angle."""
     x, P, source, index = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
     if is_heading_off(previous_fault):
-        if e.event == BECAME_JUMP and c.of_swing[source] == 1:  # the offset stays
+        if e.event == BECAME_JUMP and c.measures_swing[source] == 1:  # the offset stays
             return 0
         if e.event == BECAME_JUMP:
             to_sensor_heading(x, P, source, 1.0, c)

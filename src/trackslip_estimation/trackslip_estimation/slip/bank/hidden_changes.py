@@ -49,17 +49,17 @@ def log_odds_of_hidden_change(window: Window, p: int, k: int, event: int, c: Con
         return -math.inf
     n = pose_source_number(m.source, c)
     east, north = window.receivers[k, n].recent_displacement
-    first, usual = c.offsets[m.source], before.offsets[n].variance
-    distance, found = math.hypot(east, north), error_model(before.offsets[n], c)
-    is_observed = distance >= c.bank.least_distance and found.observed >= found.time
+    first, variance = c.offsets[m.source], before.offsets[n].variance
+    distance, errors = math.hypot(east, north), error_model(before.offsets[n], c)
+    is_observed = distance >= c.bank.least_distance and errors.observed >= errors.time
     if before.fault[m.source] != IS_HEALTHY or not is_observed:
         return -math.inf
-    off = before.mean[first] * east + before.mean[first + 1] * north
+    offset = before.mean[first] * east + before.mean[first + 1] * north
     spread = c.events.slip_stddev * distance
     if event == BIASED:
-        off = before.mean[first + 1] * east - before.mean[first] * north
+        offset = before.mean[first + 1] * east - before.mean[first] * north
         spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * distance
-    odds = log_ratio((off / distance) ** 2, usual + spread**2, usual)
+    odds = log_ratio((offset / distance) ** 2, variance + spread**2, variance)
     return float(odds + log_measurement_interval(window, p, k, c) + c.log_rates[event, m.source])
 
 

@@ -92,7 +92,7 @@ def _most_probable_healthy_branch(window: Window, count: int, c: Config) -> int:
 def _agreed_lately(state: State, c: Config) -> bool:
     """Whether each source agreed with a state within ``fault_time`` before its latest measurement."""
     for source in range(MOST_SOURCES):
-        if state.last_ns[source] - state.consistent_ns[source] > c.events.fault_time * 1e9:
+        if state.weighed_ns[source] - state.consistent_ns[source] > c.events.fault_time * 1e9:
             return False
     return True
 

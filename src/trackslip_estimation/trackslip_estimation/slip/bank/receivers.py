@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.correlated_errors import QUALITIES, DisplacementError, add_fix, reset_receiver
+from trackslip_estimation.slip.correlated_errors import (
+    INTERRUPTED,
+    NO_FIX,
+    QUALITIES,
+    DisplacementError,
+    add_fix,
+    reset_receiver,
+)
 from trackslip_estimation.slip.events import TURNED
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -59,7 +66,7 @@ def carry_receivers(
     copy_receivers(receivers, masses, k, k - 1, True)
     for n in range(receivers.shape[1]):
         of = receivers[k, n]
-        if of.known != 0:
+        if of.status != NO_FIX:
             east = state.displacement[X] - before.displacement[X]
             north = state.displacement[Y] - before.displacement[Y]
             of.displacement[X] += east
@@ -82,8 +89,8 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     is_off = update.coarse == 0 and not is_trusted(state.fault[m.source], POSE)
     distance = math.hypot(of.displacement[X], of.displacement[Y])
     if is_off or (heading >= c.receivers.most_spread and distance >= c.bank.least_distance):
-        if of.known > 0:
-            of.known, of.displacement[:], of.distance = 2, 0.0, 0.0
+        if of.status != NO_FIX:
+            of.status, of.displacement[:], of.distance = INTERRUPTED, 0.0, 0.0
         return
     P, displacement = prior_of(window, k).covariance, DisplacementError(0.0, heading)
     if has_velocity_errors(c):

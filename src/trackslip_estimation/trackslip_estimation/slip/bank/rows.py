@@ -83,7 +83,7 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
             branch = branches[j, k] if j < existing else window.pool_branches[j]
             update = update_of(window, j, k) if j < existing else window.pool_updates[j]
             if j < existing:
-                update.opened, update.reset_states = NONE, 0
+                update.event, update.reset_states = NONE, 0
                 if scripted:
                     apply_scripted_events(window, k, 0, c)
             for i in range(branch.first, k + 1):

@@ -24,14 +24,14 @@ def record_event(
     source: int,
     part: int,
     value: float,
-    decides: MeasurementRecord,
-    steps: MeasurementRecord,
+    explained: MeasurementRecord,
+    step: MeasurementRecord,
     after: int,
 ) -> EventRecord:
-    """Add an event to a branch and return it; it explains ``decides`` and opens states at step ``steps``."""
+    """Add an event to a branch and return it; it opens states in the step to measurement ``step``."""
     e = branch.history[branch.events % HISTORY]
-    e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, decides.stamp_ns
-    e.stamp_ns, e.kind, e.of, e.after = steps.stamp_ns, steps.kind, steps.source, after
+    e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, explained.stamp_ns
+    e.stamp_ns, e.step_kind, e.step_source, e.after = step.stamp_ns, step.kind, step.source, after
     branch.events += 1
     return e
 
@@ -46,8 +46,8 @@ def apply_scripted_events(window: Window, k: int, after: int, c: Config) -> None
             state.fault[s] = IS_HEALTHY
     while status.played < script.size:
         e = script[status.played]
-        if e.stamp_ns != m.stamp_ns or e.kind != m.kind or e.of != m.source or e.after != after:
+        if e.stamp_ns != m.stamp_ns or e.step_kind != m.kind or e.step_source != m.source or e.after != after:
             return
-        update.opened = e.event
+        update.event = e.event
         update.reset_states |= apply_event(state, e, c)
         status.played += 1
