@@ -86,39 +86,28 @@ def repeat(guarded, clock, seconds, step=0.5):
         clock.now += step
 
 
-def test_uninterrupted_failures_are_a_long_streak_after_their_limit(failures, clock):
+@pytest.mark.parametrize(
+    ("duration", "step", "is_long"),
+    [
+        (STREAK_S, 0.5, False),
+        (STREAK_S + 0.5, 0.5, True),
+        (10.0 * STREAK_S, PAUSE_S + 0.1, False),  # rare
+        (STREAK_S + PAUSE_S, PAUSE_S, False),  # few
+    ],
+)
+def test_many_uninterrupted_failures_are_a_long_streak(failures, clock, duration, step, is_long):
+    repeat(failures.guard(fail, "scan", handles_data=True), clock, duration, step)
+    assert failures.has_long_streak == is_long
+
+
+@pytest.mark.parametrize("handles_data", [False, True], ids=["timer", "message"])
+def test_only_a_message_handled_well_ends_the_streak(failures, clock, handles_data):
     guarded = failures.guard(fail, "scan", handles_data=True)
-    repeat(guarded, clock, STREAK_S)
-    assert not failures.has_long_streak
-    guarded()
-    assert failures.has_long_streak
-
-
-def test_a_message_handled_well_ends_the_streak(failures, clock):
-    guarded = failures.guard(fail, "scan", handles_data=True)
-    other = failures.guard(lambda: None, "imu/data_raw", handles_data=True)
-    for _ in range(5):
-        repeat(guarded, clock, STREAK_S - 1.0)
-        other()
-    assert not failures.has_long_streak
-
-
-def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
-    guarded = failures.guard(fail, "scan", handles_data=True)
-    timer = failures.guard(lambda: None, "timer")
+    other = failures.guard(lambda: None, "other", handles_data=handles_data)
     for _ in range(MIN_STREAK + 1):
         repeat(guarded, clock, 1.0)
-        timer()
-    assert failures.has_long_streak
-
-
-@pytest.mark.parametrize(
-    ("duration", "step"), [(10.0 * STREAK_S, PAUSE_S + 0.1), (STREAK_S + PAUSE_S, PAUSE_S)]
-)
-def test_rare_or_few_failures_are_no_long_streak(failures, clock, duration, step):
-    guarded = failures.guard(fail, "timer")
-    repeat(guarded, clock, duration, step=step)
-    assert not failures.has_long_streak
+        other()
+    assert failures.has_long_streak != handles_data
 
 
 def test_guarded_callback_keeps_its_signature_for_rclpy(failures):

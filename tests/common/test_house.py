@@ -1,18 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Imports have one direction, pure code is free of ROS, records are typed, each file has its licence."""
+"""Imports have one direction and are declared; records are typed; each file has its licence."""
 
 import ast
+import os
 import re
+import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from trackslip_common import __version__
 
@@ -32,8 +36,38 @@ ON_VEHICLE = {
     *("numpy", "scipy", "numba", "llvmlite", "yaml", "serial", "can", "cantools"),
     *("pynmeagps", "pyrtcm", "pyubx2", "pymap3d"),
 }
+DESK = {"rosbags", "polars", "bokeh", "matplotlib", "distributed", "dask", "rich", "jinja2", "ruamel"}
+FROM_PIP = {"bokeh", "cantools", "distributed", "mcap", "polars", "pynmeagps", "pyrtcm", "pyubx2", "rosbags"}
+FROM_APT = {  # python3-NAME
+    *(
+        "can",
+        "jinja2",
+        "lz4",
+        "matplotlib",
+        "numba",
+        "numpy",
+        "pymap3d",
+        "rich",
+        "scipy",
+        "serial",
+        "tornado",
+    ),
+    *("yaml", "zstandard"),
+}
+ROSDEP_KEYS = {
+    **{name: f"python3-{name}-pip" for name in FROM_PIP},
+    **{name: f"python3-{name}" for name in FROM_APT},
+    "llvmlite": "python3-numba",  # build dependency
+}
+OF_LIBRARIES = {"python3-msgpack"}  # imported by python-can's udp_multicast
+SYSTEMS = {"debian", "ubuntu"}
 RECORDS = {  # names of arguments
     *("average", "c", "config", "known", "load", "measurement", "p", "sample", "state", "thrust", "watch"),
+}
+MOVES = {
+    "trackslip_common/atomic_files.py",  # into place
+    "trackslip_common/kept_files.py",  # aside
+    "trackslip_estimation/slip/state_file.py",  # aside, to the machine's name
 }
 
 
@@ -48,10 +82,35 @@ def sources() -> dict[str, Path]:
     return files
 
 
-def imports(module: str, *, deep: bool = False) -> set[str]:
-    """Modules imported when a module is loaded; with ``deep`` also those imported inside functions."""
-    tree, modules = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
-    for node in ast.walk(tree) if deep else tree.body:
+class Facts(NamedTuple):
+    """What one reading of a source file shows."""
+
+    imports: set[str]  # modules imported when the file is loaded
+    all_imports: set[str]  # and those imported inside functions
+    moves_files: bool
+
+
+@cache
+def facts(file: Path) -> Facts:
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    nodes = list(ast.walk(tree))
+    return Facts(imported(tree.body), imported(nodes), any(map(moves_file, nodes)))
+
+
+def moves_file(node: ast.AST) -> bool:
+    """Whether this call moves a file: ``Path.replace`` has one argument, ``str.replace`` has two."""
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+        return False
+    if node.func.attr in ("replace", "rename"):
+        of_system = isinstance(node.func.value, ast.Name) and node.func.value.id == "os"
+        return of_system or (len(node.args) == 1 and not node.keywords)
+    return ast.unparse(node.func) == "shutil.move"
+
+
+def imported(nodes: Iterable[ast.AST]) -> set[str]:
+    """Modules that the statements among ``nodes`` import."""
+    modules = set()
+    for node in nodes:
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -60,10 +119,13 @@ def imports(module: str, *, deep: bool = False) -> set[str]:
     return modules
 
 
-def libraries(names: set[str]) -> set[str]:
-    """Top-level names of third-party libraries: neither ours, nor ROS, nor the standard library."""
-    tops = {name.split(".")[0] for name in names} - sys.stdlib_module_names
-    return {top for top in tops if not ROS.fullmatch(top) and not top.startswith("trackslip")}
+def all_imports(package: str) -> dict[str, set[str]]:
+    """Modules imported anywhere in the modules of a package, by module."""
+    return {m: facts(file).all_imports for m, file in sources().items() if top(m) == package}
+
+
+def top(module: str) -> str:
+    return module.split(".")[0]
 
 
 def folder_of(module: str) -> str:
@@ -75,26 +137,26 @@ def folder_of(module: str) -> str:
 def test_package_imports_only_those_below_it(package: str) -> None:
     forbidden = BELOW.keys() - BELOW[package] - {package}
     wrong = {
-        module: imported
-        for module in sources()
-        if module.split(".")[0] == package
-        and (imported := {name for name in imports(module, deep=True) if name.split(".")[0] in forbidden})
+        module: found
+        for module, names in all_imports(package).items()
+        if (found := {name for name in names if top(name) in forbidden})
     }
     assert wrong == {}
 
 
 def test_modules_have_no_import_cycle() -> None:
     assert len(sources()) > 400
-    list(TopologicalSorter({module: imports(module) for module in sources()}).static_order())
+    list(
+        TopologicalSorter({module: facts(file).imports for module, file in sources().items()}).static_order()
+    )
 
 
 def test_folders_of_the_estimators_have_no_import_cycle() -> None:
     """kalman ← attitude ← slip ← soil, and the nodes above all."""
     graph: dict[str, set[str]] = {}
-    for module in sources():
-        if module.startswith("trackslip_estimation."):
-            used = {name for name in imports(module, deep=True) if name.startswith("trackslip_estimation.")}
-            graph.setdefault(folder_of(module), set()).update(map(folder_of, used))
+    for module, names in all_imports("trackslip_estimation").items():
+        used = {name for name in names if name.startswith("trackslip_estimation.")}
+        graph.setdefault(folder_of(module), set()).update(map(folder_of, used))
     graph = {name: below - {name} for name, below in graph.items()}
     assert graph.keys() >= {"kalman", "attitude", "slip", "soil", "box", "gnss", "terramechanics", "nodes"}
     list(TopologicalSorter(graph).static_order())
@@ -103,17 +165,83 @@ def test_folders_of_the_estimators_have_no_import_cycle() -> None:
 
 def test_only_nodes_import_ros() -> None:
     wrong = {
-        module: imported
-        for module in sources()
+        module: found
+        for module, file in sources().items()
         if ".nodes" not in module
-        and (imported := {name for name in imports(module, deep=True) if ROS.fullmatch(name.split(".")[0])})
+        and (found := {name for name in facts(file).all_imports if ROS.fullmatch(top(name))})
     }
     assert wrong == {}
 
 
-def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
+@pytest.mark.parametrize("package", ["trackslip_common", "trackslip_drivers", "trackslip_estimation"])
+def test_package_of_the_vehicle_imports_no_library_of_the_desk(package: str) -> None:
+    tops = {top(name) for names in all_imports(package).values() for name in names} - sys.stdlib_module_names
+    libraries = {name for name in tops if not ROS.fullmatch(name) and not name.startswith("trackslip")}
+    assert libraries - ON_VEHICLE == set()
+
+
+def test_recorder_loads_no_library_of_the_desk() -> None:
+    """Definitions of topics load none either: a recorder needs them beyond its imports."""
+    code = """
+import sys, trackslip_bags.nodes.record
+from trackslip_bags.writer import own_schema
+from trackslip_common.topics import TOPICS
+for name, topic in TOPICS.items():
+    if name != "tf":  # its package is optional
+        own_schema(topic.type_name)
+print(*{name.partition('.')[0] for name in sys.modules})
+"""
+    script = Path(sys.prefix) / "trackslip.sh"
+    has_ros = os.environ.get("AMENT_PREFIX_PATH") or not script.is_file()
+    sourced = [] if has_ros else ["sh", "-c", f'. "{script}"; exec "$0" "$@"']
+    command = [*sourced, sys.executable, "-c", code]
+    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    assert loaded >= {"rclpy", "mcap"}
+    assert loaded & DESK == set()
+
+
+def declared(package: str) -> set[str]:
+    """Keys of the runtime dependencies of a package."""
+    description = ElementTree.parse(ROOT / "src" / package / "package.xml").getroot()
+    return {str(element.text) for tag in ("depend", "exec_depend") for element in description.iter(tag)}
+
+
+@pytest.mark.parametrize("package", BELOW)
+def test_package_declares_the_libraries_that_it_imports_and_no_others(package: str) -> None:
+    files = [file for module, file in sources().items() if top(module) == package]
+    files += (ROOT / "src" / package / "launch").rglob("*.py")
+    used = (
+        {top(name) for file in files for name in facts(file).all_imports}
+        - sys.stdlib_module_names
+        - {package}
+    )
+    keys = {ROSDEP_KEYS.get(name, name) for name in used}
+    assert keys - declared(package) == set()
+    assert {key for key in declared(package) if key.startswith("python3-")} - keys - OF_LIBRARIES == set()
+
+
+def test_keys_that_install_by_pip_are_defined_for_each_system_that_the_packages_run_on() -> None:
+    """A rosdep database may lack them: ours is shipped, and has no unused key."""
+    defined = yaml.safe_load((ROOT / "deploy" / "rosdep.yaml").read_text(encoding="utf-8"))
+    assert {key for key, rules in defined.items() if rules.keys() != SYSTEMS} == set()
+    needed = set.union(*map(declared, BELOW))
+    assert defined.keys() - needed == set()
+    assert {key for key in needed if key.endswith("-pip")} - defined.keys() == {"python3-bokeh-pip"}
+
+
+@pytest.mark.parametrize("file", ["docs/install.md", "deploy/Dockerfile", ".github/workflows/ci.yml"])
+def test_rosdep_instructions_name_our_keys_and_the_remaining_pip_packages(file: str) -> None:
+    """numba remains: its version in Debian 12 is too old for the kernels."""
+    requirements = (ROOT / "requirements" / "with-apt-ros.txt").read_text(encoding="utf-8").splitlines()
+    text = (ROOT / file).read_text(encoding="utf-8")
+    assert "deploy/rosdep.yaml" in text
+    line = text.split("pip install ", 1)[1].splitlines()[0]
+    assert shlex.split(line.split("#")[0].rstrip(" \\")) == [r for r in requirements if r.startswith("numba")]
+
+
+def signatures(file: Path) -> Iterator[tuple[str, bool, dict[str, str]]]:
     """Name of each function, whether it is compiled, and its annotations by argument name."""
-    for node in ast.walk(ast.parse(sources()[module].read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef):
             decorators = {mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)}
             arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
@@ -125,22 +253,21 @@ def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
 @pytest.mark.parametrize("folder", ["attitude", "box", "gnss", "slip", "soil", "terramechanics"])
 def test_records_have_types_in_signatures(folder: str) -> None:
     """All arguments of kernels have types, and those of other functions that are passed to kernels."""
-    modules = [module for module in sources() if module.startswith(f"trackslip_estimation.{folder}.")]
-    assert modules
+    files = {m: file for m, file in sources().items() if m.startswith(f"trackslip_estimation.{folder}.")}
+    assert files
     wrong = {
         (module, function, name): hint
-        for module in modules
-        for function, is_compiled, hints in signatures(module)
+        for module, file in files.items()
+        for function, is_compiled, hints in signatures(file)
         for name, hint in hints.items()
         if re.search(r"\bAny\b", hint) and (is_compiled or name in RECORDS)
     }
     assert wrong == {}
 
 
-@pytest.mark.parametrize("package", ["trackslip_common", "trackslip_drivers", "trackslip_estimation"])
-def test_package_of_the_vehicle_imports_no_library_of_the_desk(package: str) -> None:
-    modules = [module for module in sources() if module.split(".")[0] == package]
-    assert libraries(set().union(*(imports(module, deep=True) for module in modules))) - ON_VEHICLE == set()
+def test_files_are_moved_into_place_by_one_module() -> None:
+    moving = {file for file in sources().values() if facts(file).moves_files}
+    assert {file.relative_to(ROOT / "src").as_posix().partition("/")[2] for file in moving} == MOVES
 
 
 def test_every_source_file_states_licence_and_copyright() -> None:

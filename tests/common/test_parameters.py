@@ -67,13 +67,9 @@ def test_flat_names_and_back_again() -> None:
     assert made.gears == (1.0, 2.5)
     assert to_flat(made) == GOOD
     assert from_flat(Cart, to_flat(made), "again") == made
-
-
-def test_flat_fields_are_those_of_to_flat() -> None:
     fields = {name: (kind, spec.unit) for name, kind, spec in flat_fields(Cart)}
-    assert list(fields) == list(to_flat(cart()))
-    assert fields["wheel.radius"] == (float, "m")
-    assert fields["seats"] == (int, "")
+    assert list(fields) == list(to_flat(made))
+    assert (fields["wheel.radius"], fields["seats"]) == ((float, "m"), (int, ""))
 
 
 def test_nested_mappings_flatten_to_dotted_names() -> None:
@@ -91,11 +87,9 @@ def test_integers_are_accepted_as_floats() -> None:
     ("changes", "thing", "value", "accepted"),
     [
         ({"wheel__radius": 0.0}, "cart: wheel.radius", "0.0", "> 0 and < 2 m"),
-        ({"wheel__radius": 2.0}, "cart: wheel.radius", "2.0", "> 0 and < 2 m"),
         ({"wheel__radius": "wide"}, "cart: wheel.radius", "'wide'", "> 0 and < 2 m"),
         ({"wheel__colour": "green"}, "cart: wheel.colour", "'green'", "one of red, blue"),
         ({"seats": 0}, "cart: seats", "0", ">= 1 and <= 4"),
-        ({"seats": 5}, "cart: seats", "5", ">= 1 and <= 4"),
         ({"seats": 2.0}, "cart: seats", "2.0", "whole number"),
         ({"seats": True}, "cart: seats", "True", "whole number"),
         ({"mass": -1e-9}, "cart: mass", "-1e-09", ">= 0 kg"),
@@ -105,14 +99,12 @@ def test_integers_are_accepted_as_floats() -> None:
         ({"drift": -math.inf}, "cart: drift", "-inf", "finite m/s"),
         ({"drift": 10**400}, "cart: drift", "1000", "finite m/s"),
         ({"open": 1}, "cart: open", "1", "true or false"),
-        ({"open": "yes"}, "cart: open", "'yes'", "true or false"),
         ({"name": 7}, "cart: name", "7", "text"),
         ({"name": "a\nb", "doors": 3}, "cart: doors", "3", "list of text"),
         ({"doors": ["left", None]}, "cart: doors[1]", "None", "text"),
         ({"gears": 1.0}, "cart: gears", "1.0", "list of a number"),
         ({"gears": "12"}, "cart: gears", "'12'", "list of a number"),
         ({"gears": [1.0, 0.0]}, "cart: gears[1]", "0.0", "> 0"),
-        ({"gears": [math.nan]}, "cart: gears[0]", "nan", "> 0"),
         ({"gears": [True]}, "cart: gears[0]", "True", "> 0"),
     ],
 )
@@ -122,29 +114,20 @@ def test_a_bad_value_is_refused_by_name_value_and_range(
     message = refusal(**changes)
     assert message.startswith(f"{thing}: {value}")
     assert accepted in message.removeprefix(f"{thing}: {value}")
+    assert ("finite" in message) == ("finite" in accepted)  # no range of texts and flags
 
 
 @pytest.mark.parametrize("value", [1e308, -1e160, 1e31])
-def test_number_whose_square_overflows_is_refused(value: float) -> None:
-    """For example a standard deviation of 1e308 in ``--params`` of a replay."""
+def test_number_whose_square_or_inverse_overflows_is_refused(value: float) -> None:
+    """For example a standard deviation of 1e308 or 1e-308; a coordinate may be arbitrarily small."""
     assert refusal(drift=value).startswith(f"cart: drift: {value!r} is beyond any physical value; accepted: ")
+    small = 1.0 / abs(value)
+    assert f"gears[0]: {small!r} is beyond any physical value" in refusal(gears=[small])
+    assert cart(drift=-small).drift == -small
 
 
-@pytest.mark.parametrize("value", [5e-324, 1e-31])
-def test_number_whose_inverse_overflows_is_refused(value: float) -> None:
-    """For example an acceleration of 5e-324; a coordinate may be arbitrarily small."""
-    assert f"gears[0]: {value!r} is beyond any physical value" in refusal(gears=[value])
-    assert cart(drift=-value).drift == -value
-
-
-@pytest.mark.parametrize("changes", [{"name": 7}, {"open": "yes"}])
-def test_refusals_of_text_and_flags_state_no_range(changes: dict[str, Any]) -> None:
-    assert "finite" not in refusal(**changes)
-
-
-@pytest.mark.parametrize("edge", [{"seats": 1}, {"seats": 4}, {"mass": 0.0}, {"wheel__radius": 1.999}])
-def test_inclusive_limits_are_accepted(edge: dict[str, Any]) -> None:
-    cart(**edge)
+def test_inclusive_limits_are_accepted() -> None:
+    assert (cart(seats=1).seats, cart(seats=4).seats, cart(wheel__radius=1.999).wheel.radius) == (1, 4, 1.999)
 
 
 def test_unknown_names_are_refused_with_those_known() -> None:

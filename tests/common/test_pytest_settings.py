@@ -56,11 +56,14 @@ def test_plugins_of_ros_are_not_loaded(name: str, request: pytest.FixtureRequest
 
 
 @pytest.mark.parametrize("file", SETTINGS[1:], ids=lambda file: file.parent.name)
-def test_settings_of_every_package_declare_the_markers_of_plugins_that_may_be_missing(file: Path) -> None:
+def test_settings_of_every_package_serve_its_tests(file: Path, request: pytest.FixtureRequest) -> None:
+    """They declare the markers of plugins that may be missing, and find the modules that tests import."""
     settings = ConfigParser()
     settings.read(file)
     declared = {line.split(":")[0] for line in settings["pytest"]["markers"].splitlines() if line}
     assert declared >= {"slow", "soak", "timeout", "xdist_group"}
+    paths = {(file.parent / name).resolve() for name in settings["pytest"]["pythonpath"].split()}
+    assert paths == {Path(path).resolve() for path in request.config.getini("pythonpath")}
 
 
 @pytest.mark.slow
@@ -71,16 +74,6 @@ def test_plugins_of_ros_do_not_import_our_modules_again(tmp_path: Path, name: st
     assert done.returncode == 0, done.stdout + done.stderr
     enabled = collected(SETTINGS[0], "-p", f"plugin_of_{name}", *TWO_OF_ONE_NAME, PYTHONPATH=paths)
     assert "ImportPathMismatchError" in enabled.stdout  # expected with the plugin
-
-
-@pytest.mark.parametrize("file", SETTINGS[1:], ids=lambda file: file.parent.name)
-def test_settings_of_every_package_find_the_modules_that_tests_import(
-    file: Path, request: pytest.FixtureRequest
-) -> None:
-    settings = ConfigParser()
-    settings.read(file)
-    paths = {(file.parent / name).resolve() for name in settings["pytest"]["pythonpath"].split()}
-    assert paths == {Path(path).resolve() for path in request.config.getini("pythonpath")}
 
 
 @pytest.mark.parametrize("file", SETTINGS, ids=lambda file: file.parent.name)

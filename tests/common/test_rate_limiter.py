@@ -9,9 +9,9 @@ import pytest
 from trackslip_common.rate_limiter import MAX_BURST, MAX_RATE, RateLimiter
 
 
-@pytest.mark.parametrize("rate", [2000.0, 10_000.0, 1e6])
+@pytest.mark.parametrize("rate", [2000.0, 1e6])
 def test_flood_is_limited_to_its_allowed_rate(rate: float) -> None:
-    sent = 400_000
+    sent = 20_000
     limiter = RateLimiter(clock=(k / rate for k in itertools.count()).__next__)
     passed = sum(limiter.accept_message("scan") for _ in range(sent))
     assert passed == pytest.approx(min(MAX_BURST + sent / rate * MAX_RATE, sent), abs=2)

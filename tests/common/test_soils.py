@@ -77,21 +77,12 @@ def test_unknown_soil_lists_the_known_ones():
 
 
 @pytest.mark.parametrize("field", RANGES)
-@pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf, "5", True])
-def test_every_field_refuses_the_impossible(field, bad):
-    values = {"cohesion": 1000.0, "friction_angle": 0.5} | {field: bad}
-    with pytest.raises(InputError) as refused:
-        Soil(name="x", **values)
-    assert (
-        str(refused.value)
-        == f"soil 'x': {field} = {bad!r} is refused; accepted: {RANGES[field].accepted_range()}"
-    )
-
-
-@pytest.mark.parametrize("angle", [math.pi / 2, 1.6, math.pi])
-def test_friction_angle_stays_below_a_right_angle(angle):
-    with pytest.raises(InputError, match=r"friction_angle = .*accepted: >= 0 and < 1.5708 rad"):
-        Soil(name="x", cohesion=0.0, friction_angle=angle)
+def test_every_field_refuses_the_impossible(field):
+    for bad in (-1.0, math.nan, math.inf, "5", True, *([math.pi / 2] if "angle" in field else [])):
+        with pytest.raises(InputError) as refused:
+            Soil(name="x", **{"cohesion": 1000.0, "friction_angle": 0.5} | {field: bad})
+        accepted = RANGES[field].accepted_range()
+        assert str(refused.value) == f"soil 'x': {field} = {bad!r} is refused; accepted: {accepted}"
 
 
 def test_soil_without_strength_is_refused():

@@ -66,16 +66,10 @@ def test_a_bus_of_another_shape_by_its_roles_file(tmp_path):
     intervals = np.diff([sample.stamp_ns for sample in by_type[SprocketSample]])
     assert intervals == pytest.approx(unseen_bus.FLOW_NS, abs=1000)
     assert driver.period == pytest.approx(0.02, rel=1e-3)  # measured: the DBC states no cycle
-
-
-def test_messages_of_that_bus(tmp_path):
-    driver = machine(tmp_path)
-    by_type = over_virtual_bus(driver, unseen_bus.frames(S, 2 * S), "messages")
     swing = conversions.fill_swing(conversions.blank_swing(make, "base_link"), by_type[SwingSample][-1])
     assert (list(swing.name), len(swing.position), len(swing.velocity)) == (["swing"], 1, 1)
-    hydraulics = conversions.fill_track_hydraulics(
-        conversions.blank_track_hydraulics(make, "base_link"), by_type[HydraulicsSample][-1]
-    )
+    blank = conversions.blank_track_hydraulics(make, "base_link")
+    hydraulics = conversions.fill_track_hydraulics(blank, by_type[HydraulicsSample][-1])
     assert hydraulics.left_pressure == pytest.approx(78.84e5, abs=1e4)  # in Pa, not in the DBC's unit
 
 
@@ -111,6 +105,7 @@ def test_messages_of_that_bus(tmp_path):
         ("sign: -1}\n  left_p", "ratio: fast}\n  left_p", ("ratio: 'fast' is not a number",)),
         ("sign: -1}\n  left_p", "source: 3}\n  left_p", ("'TravelFlow' is none of J1939",)),
         ("supply_pressure: PumpMPa", "supply_pressure: {unit: bar}", ("'signal' is missing",)),
+        (unseen_bus.ROLES, "roles: {}\n", ("no roles", "accepted: left_position")),
         ("roles:", "rolls:", ("unknown section 'rolls'", "roles, frames")),
         ("roles:\n", "frames: {Radio: {counter: Volume}}\nroles:\n", ("frame 'Radio' has no role",)),
         ("roles:\n", "frames: {Upper: {counter: Count}}\nroles:\n", ("counter: signal 'Count' is missing",)),
@@ -137,11 +132,6 @@ def test_a_flow_needs_the_hydraulics_of_the_vehicle(tmp_path):
         machine(tmp_path, vehicle=vehicle)
 
 
-def test_no_roles(tmp_path):
-    with pytest.raises(InputError, match="no roles; accepted: left_position"):
-        machine(tmp_path, "roles: {}\n")
-
-
 ENCODERS = """VERSION ""
 NS_ :
 BS_:
@@ -164,7 +154,7 @@ ENCODER_ROLES = """roles:
 COUNTED = "frames: {LeftEncoder: {counter: Beat}, RightEncoder: {counter: Beat}}\n"
 
 
-def encoder_frames(cycle_s, count, late=lambda k: 0.0, has=lambda k: True):
+def encoder_frames(cycle_s, count, late=lambda k: 0.0):
     """Frames of two encoders at 2.5 and −1 rad/s of the sprockets."""
     database = cantools.database.load_string(ENCODERS, "dbc")
     for k in range(count):
@@ -175,15 +165,14 @@ def encoder_frames(cycle_s, count, late=lambda k: 0.0, has=lambda k: True):
             message = database.get_message_by_name(name)
             beat = k % (7 if name == "LeftEncoder" else 16)
             data = message.encode({**values, "Beat": beat}, strict=False)
-            if has(k):
-                yield round((1.0 + t + late(k)) * S), message.frame_id | STANDARD_FLAG, data
+            yield round((1.0 + t + late(k)) * S), message.frame_id | STANDARD_FLAG, data
 
 
 @pytest.mark.parametrize("counter", ["", COUNTED], ids=["no counter", "counters"])
 def test_encoders_of_any_resolution_sense_and_ratio_in_frames_of_their_own(tmp_path, counter):
     driver = machine(tmp_path, ENCODER_ROLES + counter, ENCODERS)
-    samples = drive(driver, encoder_frames(0.01, 500))
-    assert len(samples) >= 498
+    samples = drive(driver, encoder_frames(0.01, 200))
+    assert len(samples) >= 198
     turned = np.subtract(samples[-1][1:3], samples[0][1:3])
     seconds = (samples[-1].stamp_ns - samples[0].stamp_ns) * 1e-9
     assert turned / seconds == pytest.approx([2.5, -1.0], abs=1e-3)
@@ -221,11 +210,7 @@ def test_a_sender_that_stalls_and_catches_up_without_a_counter(tmp_path):
         tmp_path, ENCODER_ROLES.replace("20.0", "1.0"), ENCODERS.replace("(0.0109863", "(0.0054932")
     )
     late = {k: 0.15 - 0.0099 * (k - 60) for k in range(60, 76)}
-    sent = [
-        (stamp, identifier, data)
-        for stamp, identifier, data in encoder_frames(0.01, 200, lambda k: max(late.get(k, 0.0), 0.0))
-    ]
-    samples = drive(driver, sent)
+    samples = drive(driver, encoder_frames(0.01, 200, lambda k: max(late.get(k, 0.0), 0.0)))
     speeds = np.diff([s.right_position for s in samples]) / np.diff([s.stamp_ns * 1e-9 for s in samples])
     assert np.abs(speeds + 1.0).max() < 1.0
     turned = samples[-1].right_position - samples[0].right_position

@@ -21,13 +21,6 @@ def test_kinds_of_frames_on_the_virtual_bus():
     assert received == [(0x7F | STANDARD_FLAG, b"a"), (0x7F, b"b"), (0x40 | ERROR_FLAG, b"")]
 
 
-def test_settings_reach_the_bus():
-    port = CanBus("virtual", "settings", {"receive_own_messages": True})
-    port.write((0x123 | STANDARD_FLAG, b"own"))
-    assert [frame for frame, _ in port.read()] == [(0x123 | STANDARD_FLAG, b"own")]
-    port.close()
-
-
 def test_each_frame_is_delivered_before_the_next_read():
     port = CanBus("virtual", "one by one", {})
     with can.Bus("one by one", interface="virtual") as peer:

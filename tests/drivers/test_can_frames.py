@@ -4,15 +4,12 @@
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from cantools.database.errors import EncodeError
 from crccheck.crc import Crc8SaeJ1850, Crc12Gsm  # type: ignore[import-untyped]
 from fixtures.excavator_bus import CYCLE_NS, FRAMES, PARAMETERS
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
@@ -70,13 +67,10 @@ def test_exact_bytes(decoder, name, values, alive, expected_id, expected):
     assert dict(frame.values) == pytest.approx(values)
 
 
-def test_encoding_refuses_a_value_outside_the_range_of_the_dbc():
+def test_range_and_cycle_are_those_of_the_dbc():
+    assert {codec.nominal_ns for codec in FRAMES.codecs.values()} == {CYCLE_NS}
     with pytest.raises(EncodeError):
         FRAMES.encode(PRESSURES, {**PRESSURE, "left_pressure": 26e6}, 0)
-
-
-def test_cycle_is_that_of_the_dbc():
-    assert {codec.nominal_ns for codec in FRAMES.codecs.values()} == {CYCLE_NS}
 
 
 def test_unknown_frames_are_ignored_and_error_frames_counted(decoder, tally):
@@ -127,8 +121,8 @@ def test_stuck_counter_stays_rejected(decoder, tally):
     assert tally.total[SPOOLS, "alive counter repeated"] == 99
 
 
-@pytest.mark.parametrize("lost", [0, 1, 14, 15, 16, 40, 1000])
-@pytest.mark.parametrize("late", [-0.3, 0.0, 2.0])
+@pytest.mark.parametrize("lost", [0, 1, 15, 16, 1000])
+@pytest.mark.parametrize("late", [-0.3, 2.0])
 def test_lost_frames_are_counted_and_the_next_is_accepted(decoder, tally, lost, late):
     for n in range(3):
         receive(decoder, 7 + n, n - 2)
@@ -139,7 +133,7 @@ def test_lost_frames_are_counted_and_the_next_is_accepted(decoder, tally, lost, 
     assert tally.total[SPOOLS, "lost"] == lost
 
 
-@pytest.mark.parametrize("stall", [5, 11, 15, 16, 17, 40])
+@pytest.mark.parametrize("stall", [5, 15, 16, 40])
 def test_sender_that_stalls_and_catches_up_loses_nothing(decoder, tally, stall):
     elapsed = []
     for alive in range(4):
@@ -217,16 +211,13 @@ def test_broken_dbc_is_refused_in_one_line(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
-def test_dbc_larger_than_8_mb_is_refused(tmp_path):
+def test_missing_dbc_and_one_of_more_than_8_mb_are_refused(tmp_path):
+    with pytest.raises(InputError, match="not a usable DBC"):
+        frame_set(tmp_path / "large.dbc")
     with (tmp_path / "large.dbc").open("wb") as file:
         file.truncate(2**33)
     with pytest.raises(InputError, match=r"large\.dbc: more than 8 MB; accepted: a DBC"):
         frame_set(tmp_path / "large.dbc")
-
-
-def test_missing_dbc_is_refused():
-    with pytest.raises(InputError, match="not a usable DBC"):
-        frame_set(config_file("can_driver.yaml").with_name("none.dbc"))
 
 
 BIG_ENDIAN = (
@@ -246,7 +237,7 @@ def test_payloads_are_those_of_cantools(changes, tmp_path):
     frames, rng = frame_set(tmp_path / "bus.dbc"), np.random.default_rng(0)
     for name, message in frames.by_name.items():
         signals = [s for s in message.signals if s.name not in ("alive_counter", "checksum")]
-        for alive in range(200):
+        for alive in range(40):
             share = rng.random(len(signals)) * 0.1 + 0.45  # within the range of the shorter signals
             low_high = [(float(s.minimum), float(s.maximum)) for s in signals]
             values = {
@@ -264,29 +255,6 @@ def test_payloads_are_those_of_cantools(changes, tmp_path):
             assert unpacked == {k: v for k, v in decoded.items() if k in values}
 
 
-def test_a_floating_point_signal_is_read(tmp_path, tally):
-    text = config_file("excavator.dbc").read_text()
-    for old, new in (
-        ("left_pressure : 0|16@1-", "left_pressure : 0|8@1-"),
-        ("right_pressure : 16|16@1-", "right_pressure : 8|8@1-"),
-        ("supply_pressure : 32|16@1+ (1000,0)", "supply_pressure : 16|32@1- (1,0)"),
-    ):
-        text = text.replace(old, new)
-    (tmp_path / "bus.dbc").write_text(text + "\nSIG_VALTYPE_ 2365526656 supply_pressure : 1;\n")
-    frames = frame_set(tmp_path / "bus.dbc")
-    for raw, outcome in (
-        (12.345e6, None),
-        (math.nan, Rejection.OUT_OF_RANGE),
-        (-1.0, Rejection.OUT_OF_RANGE),
-    ):
-        message = frames.by_name[PRESSURES]
-        values = {"left_pressure": 0, "right_pressure": 0, "alive_counter": 0, "checksum": 0}
-        payload = message.encode({**values, "supply_pressure": raw}, strict=False)
-        sent = message.frame_id, frames.codecs[PRESSURES].replace_checksum(message.frame_id, payload)
-        decoded: Any = FrameDecoder(frames, tally).decode(*sent, 0)
-        assert decoded is outcome or decoded[0].values["supply_pressure"] == raw
-
-
 def test_the_checksum_is_crc_12_gsm():
     rng = np.random.default_rng(0)
     codec = FRAMES.codecs[ENCODERS]
@@ -302,35 +270,3 @@ def test_checksums_of_eight_bits():
     assert CHECKSUMS["crc8_j1850"][1](0x123, data) == Crc8SaeJ1850.calc(data)
     assert CHECKSUMS["sum8"][1](0x123, data) == sum(data) % 256
     assert CHECKSUMS["xor8"][1](0x123, b"\x0f\xff\x01") == 0xF1
-
-
-PASCALS = st.floats(-25e6, 25e6)
-READINGS = st.one_of(
-    st.tuples(
-        st.just(ENCODERS),
-        st.fixed_dictionaries({"left_count": st.integers(0, 4095), "right_count": st.integers(0, 4095)}),
-        st.just(0.0),
-    ),
-    st.tuples(
-        st.just(SPOOLS),
-        st.fixed_dictionaries({"left_spool": st.floats(-1, 1), "right_spool": st.floats(-1, 1)}),
-        st.just(0.5e-4),
-    ),
-    st.tuples(
-        st.just(PRESSURES),
-        st.fixed_dictionaries(
-            {"left_pressure": PASCALS, "right_pressure": PASCALS, "supply_pressure": st.floats(0, 25e6)}
-        ),
-        st.just(500.0),
-    ),
-)
-seeded = settings(derandomize=True, max_examples=200, deadline=None)
-
-
-@seeded
-@given(READINGS, st.integers(0, 1000))
-def test_round_trip_within_half_the_resolution(reading, alive):
-    name, values, half_step = reading
-    decoded: Any = FrameDecoder(FRAMES, Tally()).decode(*FRAMES.encode(name, values, alive), 0)
-    (frame,) = decoded
-    assert frame.values == pytest.approx(values, abs=half_step * 1.000001)

@@ -61,6 +61,12 @@ def received(silence_s, *, reopened=True, restarted=False):
     return samples
 
 
+@pytest.fixture(scope="module")
+def whole():
+    """The samples of the drive without a silence."""
+    return received(0.0)
+
+
 def heading(samples):
     """Final heading of an estimator that receives these sprocket samples alone, rad."""
     estimator = SlipEstimator(load_slip_parameters(START, {}))
@@ -71,20 +77,20 @@ def heading(samples):
     return math.degrees(estimate.pose[2])
 
 
-@pytest.mark.parametrize("silence_s", [0.05, 0.2, 0.3, 0.4, 0.45])
+@pytest.mark.parametrize("silence_s", [0.05, 0.3, 0.45])
 @pytest.mark.parametrize(
     "how", [{}, {"reopened": False}, {"restarted": True}], ids=["reopened", "silent", "reset"]
 )
-def test_heading_is_kept_over_a_bus_off_of_up_to_450_ms(silence_s, how):
+def test_heading_is_kept_over_a_bus_off_of_up_to_450_ms(whole, silence_s, how):
     """Positions agree with those of the drive without a silence."""
-    whole, broken = received(0.0), received(silence_s, **how)
+    broken = received(silence_s, **how)
     assert heading(broken) == pytest.approx(heading(whole), abs=0.15)
     assert broken[-1][1:3] == pytest.approx(whole[-1][1:3], abs=2e-3)
     assert len(whole) - len(broken) <= silence_s * 100 + 1
 
 
-def test_sample_after_a_long_silence_has_no_position():
-    whole, broken = received(0.0), received(0.9)
+def test_sample_after_a_long_silence_has_no_position(whole):
+    broken = received(0.9)
     known = [s for s in broken if not math.isnan(s.left_position)]
     assert len(broken) - len(known) == 1
     before = next(s for s in broken if math.isnan(s.left_position))
@@ -98,8 +104,7 @@ def test_sample_after_a_long_silence_has_no_position():
     assert whole[-1].left_position != pytest.approx(broken[-1].left_position, abs=1.0)
 
 
-def test_estimator_keeps_its_heading_over_a_sample_without_positions():
-    whole = received(0.0)
+def test_estimator_keeps_its_heading_over_a_sample_without_positions(whole):
     at = next(k for k, s in enumerate(whole) if s.stamp_ns >= 2.8 * S)
     offset = 0.7  # the encoder count restarts at another value
     gap = [*whole[: at - 30], whole[at]._replace(left_position=math.nan, right_position=math.nan)]

@@ -42,13 +42,11 @@ HOSTILE = {
         FRAME + PLAIN.replace("0|16", "999999999|16"),
         "frame 'F': signal 'S': start bit 999999999",
     ),
-    "start bit below 0": (FRAME + PLAIN.replace("0|16", "-1|16"), "start bit -1; accepted: 0 to 14280"),
     "start bit on a line of its own": (
         FRAME + PLAIN.replace("0|16", "\n 999999999 // x\n|\n16"),
         "start bit 999999999",
     ),
     "length": (FRAME + PLAIN.replace("0|16", "0|100000"), "length 100000; accepted: 1 to 14280"),
-    "length 0": (FRAME + PLAIN.replace("0|16", "0|0"), "length 0; accepted: 1"),
     "bytes of a frame": (
         FRAME.replace("64", "999999999") + PLAIN,
         "frame 'F' of 999999999 bytes; accepted: 0 to",

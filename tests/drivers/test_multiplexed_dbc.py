@@ -87,25 +87,20 @@ def test_multiplexed_values_equal_those_of_cantools(
             assert values == {name: float(value) for name, value in expected.items()}
 
 
-def test_decoded_values_equal_those_of_cantools(path: Path) -> None:
-    for row in FRAMES:
-        signals = [Signal(*facts)._replace(low=0, high=0) for facts in row["signals"]]
-        decoder = codec(path, row["bytes"], signals)
-        for data, values in row["values"].items():
-            pairs = zip(signals, values, strict=True)
-            expected = {one.name: float(value) for one, value in pairs if value is not None}
-            assert unpacked(decoder, bytes.fromhex(data)) == expected, (row["file"], row["frame"])
-
-
-def test_frame_is_accepted_if_all_values_are_in_range(path: Path) -> None:
+def test_values_equal_those_of_cantools_if_all_are_in_range(path: Path) -> None:
     for row in FRAMES:
         signals = [Signal(*facts) for facts in row["signals"]]
         decoder = codec(path, row["bytes"], signals)
         for data, values in row["values"].items():
-            are_in = [
-                one.low <= value <= one.high
-                for one, value in zip(signals, values, strict=True)
-                if value is not None and (one.low or one.high)
-            ]
-            decoded = unpacked(decoder, bytes.fromhex(data))
-            assert (decoded is not None) == all(are_in), (row["file"], row["frame"])
+            present = [(one, value) for one, value in zip(signals, values, strict=True) if value is not None]
+            expected = {one.name: float(value) for one, value in present}
+            are_in = [one.low <= value <= one.high for one, value in present if one.low or one.high]
+            raw = bytes.fromhex(data)
+            orders = int.from_bytes(raw, "little"), int.from_bytes(raw, "big")
+            of_fields = {
+                name: field.value(field.raw_value(*orders))
+                for name, field in decoder.fields.items()
+                if field.is_present(*orders)
+            }
+            assert of_fields == expected, (row["file"], row["frame"])
+            assert unpacked(decoder, raw) == (expected if all(are_in) else None), (row["file"], row["frame"])

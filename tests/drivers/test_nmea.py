@@ -42,8 +42,7 @@ def decode(raw: bytes) -> Reading | Rejection | None:
 
 
 def test_position_is_south_and_east_above_the_ellipsoid():
-    reading = decode(line(GGA.format(4)))
-    assert isinstance(reading, Gga)
+    reading = gga_of(GGA.format(4))
     assert reading.latitude == pytest.approx(-(33 + 52.1234567 / 60), abs=1e-10)
     assert reading.longitude == pytest.approx(151 + 12.7654321 / 60, abs=1e-10)
     assert (reading.altitude, reading.hdop, reading.quality) == (pytest.approx(63.3), 0.6, 4)
@@ -75,13 +74,11 @@ def test_quality_decides_what_a_position_is(quality, expected):
     [
         ("GPGST,101530.20,0.1,0.02,0.01,34.5,0.011,0.012,0.02", Gst(EPOCH, 0.012, 0.011, 0.02)),
         ("GPGST,101530.20,,,,,-0.1,0.1,", Rejection.OUT_OF_RANGE),
-        ("GPGST,101530.20,,,,,20000.0,0.1,", Rejection.OUT_OF_RANGE),
         ("GNRMC,101530.20,A,3352.1,S,15112.7,E,,,201126,,,R,V", Rmc(36930 * S + S // 5)),
         (
             "GNRMC,101530.20,A,3352.1,S,15112.7,E,5.0,,201126,,,R,V",
             Rmc(36930 * S + S // 5, Rejection.NO_VELOCITY),
         ),
-        ("GNVTG,,T,,M,,N,,K,A", Rejection.NO_VELOCITY),
         ("GNVTG,,T,,M,1.0,N,1.852,K,A", Rejection.NO_VELOCITY),
         ("GNVTG,30.0,T,,M,1.0,N,1.852,K,N", Rejection.WARNING),
         ("GNVTG,30.0,T,,M,1.0,N,1.852,K,E", Rejection.DEAD_RECKONING),
@@ -90,17 +87,13 @@ def test_quality_decides_what_a_position_is(quality, expected):
         ("GNVTG,30.0,M,,M,1.0,N,1.852,K,A", Rejection.MALFORMED),
         ("GNRMC,101530.20,V,,,,,,,201126,,,N,V", Rejection.WARNING),
         ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,N,V", Rejection.WARNING),
-        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,E,V", Rejection.DEAD_RECKONING),
-        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,S,V", Rejection.NOT_MEASURED),
         ("GNHDT,90.0,T", Heading(None, 0.0, 0.0, True)),
-        ("GNHDT,270.0,T", Heading(None, math.pi, 0.0, True)),
         ("GNHDT,90.0,M", Rejection.NOT_TRUE_NORTH),
         ("GNHDT,,T", Rejection.NO_HEADING),
         ("GNHDT,361.0,T", Rejection.OUT_OF_RANGE),
         ("GNHDT,nan,T", Rejection.OUT_OF_RANGE),
         ("GNTHS,0.0,A", Heading(None, math.pi / 2, 0.0)),
         ("GNTHS,0.0,E", Rejection.DEAD_RECKONING),
-        ("GNTHS,0.0,M", Rejection.NOT_MEASURED),
         ("GNTHS,0.0,S", Rejection.NOT_MEASURED),
         ("GNTHS,0.0,", Rejection.NO_HEADING),
         ("GNTHS,,V", Rejection.NO_HEADING),
@@ -111,7 +104,6 @@ def test_quality_decides_what_a_position_is(quality, expected):
         ("PASHR,,90.00,T,,,,,,0.180,4,1", Heading(None, 0.0, math.radians(0.18))),
         ("PASHR,101530.00,90.00,T,,,,,,0.000,4,1", Heading(36930 * S, 0.0, 0.0)),
         ("PASHR,101530.00,0.00,T,,,,,,0.200,0,0", Rejection.NO_FIX),
-        ("PASHR,101530.00,312.95,T,,,,,,0.298,0,1", Rejection.NO_FIX),
         ("PASHR,,0.00,T,,,,,,0.200,0,0", Rejection.NO_FIX),
         ("PTNL,AVR,101530.20,+90.0000,Yaw,+0.01,Tilt,,,60.191,3,2.5,6", Heading(EPOCH, 0.0, 0.0)),
         ("PTNL,AVR,101530.20,-90.0000,Yaw,+0.01,Tilt,,,60.191,3,2.5,6", Heading(EPOCH, math.pi, 0.0)),
@@ -140,13 +132,10 @@ def test_quality_decides_what_a_position_is(quality, expected):
         ("GPGSV,3,1,11,03,03,111,00", None),
         ("GNGGA", Rejection.MALFORMED),
         ("GNGGA,101530.20,,,,,4,18,0.6,41.20,M,22.10,M,,", Rejection.MALFORMED),
-        ("GNGGA,101530.20,9952.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
         ("GNGGA,101530.20,9000.01,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
         ("GNGGA,101530.20,3352.12,S,18000.01,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
-        ("GNGGA,101530.20,3360.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
         ("GNGGA,101530.20,3352.12,S,15175.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
         ("GNGGA,101530.20,-3352.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
-        ("GNGGA,101530.20,3352.12,S,+15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
         ("GNGGA,101530.20,3352.12,E,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
         ("GNGGA,101530.20,3352.12,S,15112.76,E,4,18,0.6,141.2,F,22.1,M,,", Rejection.NOT_METRES),
         ("GNGGA,101530.20,3352.12,S,15112.76,E,4,18,0.6,41.2,M,72.1,f,,", Rejection.NOT_METRES),
@@ -179,48 +168,47 @@ def test_damaged_sentence_is_rejected(raw, expected):
     assert decode(raw) is expected
 
 
+def gga_of(content):
+    reading = decode(line(content))
+    assert isinstance(reading, Gga)
+    return reading
+
+
 @pytest.mark.parametrize(
     ("latitude", "longitude", "expected"),
     [
         ("4506.0000000,N", "401.3380000,E", (45.1, 4 + 1.338 / 60)),
         ("6.5,S", "1.5,W", (-6.5 / 60, -1.5 / 60)),
-        ("0006.5,S", "00001.5,W", (-6.5 / 60, -1.5 / 60)),
         ("4506,N", "00401,E", (45.1, 4 + 1 / 60)),
         ("9000.000,N", "18000.000,W", (90.0, -180.0)),
         ("0.0,N", "59.999999999,E", (0.0, 59.999999999 / 60)),
     ],
 )
 def test_angles_are_read_without_leading_zeros(latitude, longitude, expected):
-    reading = decode(line(f"GPGGA,101530.20,{latitude},{longitude},4,18,0.6,41.20,M,22.10,M,1.0,0021"))
-    assert isinstance(reading, Gga)
+    reading = gga_of(f"GPGGA,101530.20,{latitude},{longitude},4,18,0.6,41.20,M,22.10,M,1.0,0021")
     assert (reading.latitude, reading.longitude) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("time", ["93015.20", "093015.2", "093015.200000000"])
-def test_times_are_read_without_leading_zeros(time):
-    reading = decode(line(GGA.format(4).replace("101530.20", time)))
-    assert isinstance(reading, Gga)
-    assert reading.time_ns == ((9 * 60 + 30) * 60 + 15) * S + S // 5
+NINE_THIRTY = ((9 * 60 + 30) * 60 + 15) * S + S // 5
 
 
-@pytest.mark.parametrize("fields", ["0.000,0.000,0.000", ",,", "0.0,0.1,"])
+@pytest.mark.parametrize(
+    ("time", "time_ns"),
+    [("93015.20", NINE_THIRTY), ("093015.200000000", NINE_THIRTY), ("", None), ("235960.00", None)],
+)
+def test_time_of_day_may_lack_leading_zeros_and_is_unknown_in_a_leap_second(time, time_ns):
+    assert gga_of(GGA.format(4).replace("101530.20", time)).time_ns == time_ns
+
+
+@pytest.mark.parametrize("fields", ["0.000,0.000,0.000", ",,"])
 def test_accuracy_of_zero_is_unknown(fields):
     reading = decode(line(f"GPGST,101530.20,,,,,{fields}"))
     assert isinstance(reading, Gst)
     assert math.isnan(reading.north)
 
 
-def test_time_is_unknown_where_it_is_empty_and_in_a_leap_second():
-    for time in ("", "235960.00"):
-        reading = decode(line(GGA.format(4).replace("101530.20", time)))
-        assert isinstance(reading, Gga)
-        assert reading.time_ns is None
-
-
 def test_altitude_is_unknown_without_the_geoid():
-    reading = decode(line(GGA.format(1).replace("22.10", "")))
-    assert isinstance(reading, Gga)
-    assert math.isnan(reading.altitude)
+    assert math.isnan(gga_of(GGA.format(1).replace("22.10", "")).altitude)
 
 
 GNS = "GNGNS,101530.20,3352.1234567,S,15112.7654321,E,{},18,0.6,41.20,22.10,1.0,0021{}"
@@ -231,14 +219,11 @@ GNS = "GNGNS,101530.20,3352.1234567,S,15112.7654321,E,{},18,0.6,41.20,22.10,1.0,
     [
         ("RR", ",S", FixStatus.RTK),
         ("NF", "", FixStatus.RTK),
-        ("AD", ",S", FixStatus.DIFFERENTIAL),
-        ("ANN", "", FixStatus.SINGLE),
-        ("NN", "", Rejection.NO_FIX),
+        ("AD", ",V", FixStatus.DIFFERENTIAL),
+        ("ANN", ",C", FixStatus.SINGLE),
         ("", "", Rejection.NO_FIX),
         ("E", "", Rejection.DEAD_RECKONING),
         ("S", "", Rejection.NOT_MEASURED),
-        ("RR", ",V", FixStatus.RTK),
-        ("RR", ",C", FixStatus.RTK),
         ("RR", ",U", Rejection.WARNING),
         ("?", "", Rejection.MALFORMED),
     ],
@@ -247,9 +232,7 @@ def test_gns_is_a_position_of_the_best_mode(modes, status, expected):
     reading = decode(line(GNS.format(modes, status)))
     assert (reading.status if isinstance(reading, Gga) else reading) is expected
     if isinstance(reading, Gga):
-        of_gga = decode(line(GGA.format(4)))
-        assert isinstance(of_gga, Gga)
-        assert reading[:4] == of_gga[:4]
+        assert reading[:4] == gga_of(GGA.format(4))[:4]
 
 
 @given(

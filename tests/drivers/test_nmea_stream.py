@@ -78,11 +78,14 @@ def test_variances_are_unknown_without_hdop():
     assert (sample.covariance_type, sample.variances) == (CovarianceType.UNKNOWN, (0.0, 0.0, 0.0))
 
 
-def test_gst_of_another_quality_is_not_used():
+def test_gst_of_another_quality_or_of_zeros_is_not_used():
     parser = stream()
     received(parser, EPOCHS[:5], (gga, gst))
+    zeros = Position(EPOCHS[5], -33.9, 151.2, 60.0, 4, 0.6)
     samples = parser.feed(gga(at(EPOCHS[5], quality=5)), 6 * S) + parser.flush()
-    assert samples[0].covariance_type is CovarianceType.APPROXIMATED
+    samples += stream().feed(gga(zeros) + gst(zeros), 7 * S)
+    assert {s.covariance_type for s in samples} == {CovarianceType.APPROXIMATED}
+    assert not parser.tally.total
 
 
 def test_gst_once_a_second_applies_to_all_fixes_of_that_second():
@@ -114,9 +117,7 @@ def gpgga(position):
 @pytest.mark.parametrize(
     ("encoders", "stddev"),
     [
-        ((gga, ths, hdt), P.heading_stddev),
         ((hdt, gga, ths), P.heading_stddev),
-        ((gga, pashr, hdt), math.radians(0.2)),
         ((gga, hdt, pashr), math.radians(0.2)),
         ((hdt, ths, pashr, gga), math.radians(0.2)),
     ],
@@ -165,20 +166,12 @@ def test_no_heading_is_used_while_the_receiver_has_no_fix():
     assert parser.tally.by_source()["heading"] == {"no fix": 6}
 
 
-def test_an_accuracy_of_zero_beside_a_valid_fix_is_unknown():
-    parser = stream()
-    silent = Position(EPOCHS[0], -33.9, 151.2, 60.0, 4, 0.6)
-    samples = parser.feed(gga(silent) + gst(silent), 5 * S) + parser.flush()
-    assert [s.covariance_type for s in samples] == [CovarianceType.APPROXIMATED]
-    assert not parser.tally.total
-
-
-@pytest.mark.parametrize("size", [20, 100, 600, 1500, 5000])
+@pytest.mark.parametrize("size", [20, 600, 4500])
 @pytest.mark.parametrize("form", ["ubx", "rtcm", "cut ubx", "random", "zeros", "dollars"])
 def test_binary_bursts_lose_no_sentence(size, form):
     """The bursts have no line end between binary and sentences."""
     random, parser, samples = np.random.default_rng(size), stream(), []
-    for k, time_ns in enumerate(EPOCHS):
+    for k, time_ns in enumerate(EPOCHS[:10]):
         payload = random.integers(0, 256, size, np.uint8).tobytes()
         rtcm = b"\xd3" + min(size, 1023).to_bytes(2, "big") + payload[:1023]
         burst = {
@@ -190,7 +183,7 @@ def test_binary_bursts_lose_no_sentence(size, form):
             "dollars": b"\xaa$G" * (size // 3),
         }[form]
         samples += parser.feed(burst + gga(at(time_ns)), 5 * S + k * S // 2) + parser.flush()
-    assert len([s for s in samples if isinstance(s, FixSample)]) == len(EPOCHS)
+    assert len([s for s in samples if isinstance(s, FixSample)]) == 10
     whole = form in ("rtcm", "zeros") or (form == "ubx" and size <= 4096)
     assert not (whole and parser.tally.total)
 
@@ -244,14 +237,9 @@ def test_an_empty_read_moves_no_stamp():
     assert sample.stamp_ns == 5 * S
 
 
-def test_day_ends_without_a_jump():
-    epochs = [(DAY - 2 * S + k * S // 10) % DAY for k in range(50)]
-    assert max(map(abs, errors_ms(received(stream(), epochs, (gga, gst))))) < 0.1
-
-
-@pytest.mark.parametrize("step", [-18 * S, -S, S, 18 * S, 3600 * S])
-def test_leap_seconds_learned_late_move_no_stamp(step):
-    epochs = [t if k < 25 else (t + step) % DAY for k, t in enumerate(EPOCHS)]
+@pytest.mark.parametrize(("start", "step"), [(3600, -18), (3600, 1), (3600, 3600), (86398, 0)])
+def test_leap_seconds_learned_late_and_the_end_of_a_day_move_no_stamp(start, step):
+    epochs = [(start * S + k * S // 10 + (k >= 25) * step * S) % DAY for k in range(50)]
     assert max(map(abs, errors_ms(received(stream(), epochs, (gga, gst))))) < 0.1
 
 
@@ -279,7 +267,7 @@ def test_backlog_keeps_its_times():
 
 
 def test_slower_line_is_accepted_after_a_while():
-    epochs = [7 * S + k * S // 10 for k in range(1000)]
+    epochs = [7 * S + k * S // 10 for k in range(500)]
     errors = errors_ms(received(stream(), epochs, (gga, gst), lambda k: (20 if k < 100 else 45) * MS))
     assert errors[99] == pytest.approx(0.0, abs=0.1)
     assert errors[-1] == pytest.approx(25.0, abs=5.0)

@@ -17,7 +17,7 @@ from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import FixSample, HeadingSample
 
 S = 1_000_000_000
-EPOCHS, RATE = 100, 10
+EPOCHS, RATE = 30, 10
 NOON, LEAP_MS = 43_200 * S, 18_000
 COMPASS = 60.0  # °
 YAW = math.radians(90.0 - COMPASS)

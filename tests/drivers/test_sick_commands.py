@@ -6,15 +6,13 @@ import pytest
 
 from trackslip_drivers.protocols.sick_commands import (
     CommandRefused,
-    ErrorReport,
     ModeChanged,
     ModeResult,
     PowerOn,
     Reply,
     ReplyFault,
+    Report,
     ResetDone,
-    Severity,
-    StatusReport,
     parse_reply,
     set_baud,
 )
@@ -29,9 +27,8 @@ from trackslip_drivers.protocols.sick_commands import (
         (b"\x90LMS200;30106;V02.10 \x10", PowerOn("LMS200;30106;V02.10")),
         (b"\x91\x00", ResetDone()),
         (b"\x92\x00", CommandRefused()),
-        (b"\xb1\x24\x07\x00", StatusReport(b"\x24\x07")),
-        (b"\xb2\x00", ErrorReport(())),
-        (b"\xb2\x02\x11\x04\x2a\x80", ErrorReport(((Severity.WARNING, 0x11), (Severity.FATAL, 0x2A)))),
+        (b"\xb1\x24\x07\x00", Report()),
+        (b"\xb2\x02\x11\x04\x2a\x80", Report()),
     ],
 )
 def test_replies_are_understood(payload: bytes, reply: Reply) -> None:
@@ -44,8 +41,6 @@ def test_replies_are_understood(payload: bytes, reply: Reply) -> None:
         (b"\xa0\x03\x00", ReplyFault.BAD_STRUCTURE),
         (b"\xa0", ReplyFault.BAD_STRUCTURE),
         (b"\xa0\x00\x00\x00", ReplyFault.BAD_STRUCTURE),
-        (b"\xb2\x02\x00", ReplyFault.BAD_STRUCTURE),
-        (b"\xb2\x05\x11\x00", ReplyFault.BAD_STRUCTURE),
         (b"\xb7\x00", ReplyFault.UNKNOWN_CODE),
     ],
 )

@@ -105,8 +105,9 @@ def streaming(parameters: SickParameters = PLS, **more: Any) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("parameters", [PLS, LMS])
-@pytest.mark.parametrize("power_on_baud", sorted(commands.BAUD_CODES))
+@pytest.mark.parametrize(
+    ("parameters", "power_on_baud"), [(LMS, 9600), *((PLS, baud) for baud in sorted(commands.BAUD_CODES))]
+)
 def test_starts_from_any_rate(parameters: SickParameters, power_on_baud: int) -> None:
     bench = streaming(parameters, power_on_baud=power_on_baud)
     bench.run(2.0)
@@ -124,18 +125,17 @@ def test_streams_at_any_rate(baud: int) -> None:
     assert len(bench.scans) == bench.device.scans_emitted
 
 
-@pytest.mark.parametrize("longest_poll_ms", [2, 10, 30])
+@pytest.mark.parametrize("longest_poll_ms", [2, 30])
 def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
     bench = streaming(longest_poll_ns=longest_poll_ms * MS)
-    bench.run(20.0)
-    assert len(bench.scans) > 80
+    bench.run(6.0)
+    assert len(bench.scans) > 20
     for scan, stamp_ns in zip(bench.scans, bench.device.stamps, strict=True):
         assert abs(scan.sample.stamp_ns - stamp_ns) <= 5 * MS
         np.testing.assert_allclose(scan.sample.ranges, room(stamp_ns), atol=1e-9)
 
 
-@pytest.mark.parametrize("baud", [9600, 38400, 500000])
-@pytest.mark.parametrize("stall_s", [0.5, 5.0, 60.0])
+@pytest.mark.parametrize(("baud", "stall_s"), [(9600, 5.0), (38400, 0.5), (500000, 0.5), (500000, 20.0)])
 def test_scans_read_after_a_host_stall_are_stamped_at_their_measurement(baud: int, stall_s: float) -> None:
     """Each stamp is within 5 ms of the true time of its sweep."""
     bench = streaming(replace(PLS, serial_baud=baud))
@@ -171,14 +171,19 @@ def test_connects_to_a_scanner_that_already_streams(baud: int) -> None:
     assert len(bench.scans) > before + 2
 
 
-def test_restarts_after_a_power_cycle_of_the_scanner() -> None:
-    bench = streaming()
+@pytest.mark.parametrize("off_s", [0.02, 4.0])
+@pytest.mark.parametrize("baud", [38400, 500000])
+def test_scans_come_within_a_second_of_the_end_of_a_boot(baud: int, off_s: float) -> None:
+    bench = streaming(replace(PLS, serial_baud=baud), boot_delay=1.3)
     bench.run(1.0)
+    bench.plugged = False
+    bench.run(off_s)
+    bench.plugged = True
     bench.device.power_cycle(bench.now_ns)
-    bench.run(6.0)
-    before = len(bench.scans)
-    bench.run(1.0)
-    assert len(bench.scans) > before + 2
+    before, ready_ns = len(bench.scans), bench.now_ns + 1300 * MS
+    while len(bench.scans) == before:
+        bench.poll()
+        assert bench.now_ns < ready_ns + S
     assert bench.count(SessionFault.SILENT) == 1
 
 
@@ -239,21 +244,16 @@ def test_stopping_without_a_scanner_takes_no_longer_than_its_acknowledgement() -
     bench.run_until(Phase.STOPPED, within=0.1)
 
 
-@pytest.mark.parametrize("parameters", [PLS, LMS])
-def test_refused_rate_is_replaced_by_the_next_lower_one(
-    parameters: SickParameters, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refused_rate_is_replaced_by_the_next_lower_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """An RS-232 line has no 500000 Bd: the scanner streams at the next lower rate."""
     bauds = {code: baud for baud, code in commands.BAUD_CODES.items() if baud != 500000}
     monkeypatch.setattr(sick_device, "_BAUDS", bauds)
-    bench = Bench(replace(parameters, serial_baud=500000))
+    bench = Bench(replace(PLS, serial_baud=500000))
     bench.run_until(Phase.STREAMING, within=6.0)
     assert bench.device.baud == bench.host_baud == 38400
     assert bench.count(SessionFault.BAUD) == 2
     bench.run(3.0)
     assert len(bench.scans) == bench.device.scans_emitted > 8
-    for scan, stamp_ns in zip(bench.scans, bench.device.stamps, strict=True):
-        assert abs(scan.sample.stamp_ns - stamp_ns) <= 5 * MS
 
 
 def test_a_line_that_does_not_carry_a_rate_is_used_at_a_lower_one() -> None:
@@ -322,14 +322,6 @@ def test_the_rate_changes_also_when_only_its_acknowledgement_is_received() -> No
     assert puppet.baud == 38400
     assert puppet.step(240) == b""
     assert puppet.step(20) == make_telegram(commands.STOP, TO_SENSOR)
-
-
-def test_without_a_pause_the_rate_changes_at_its_acknowledgement() -> None:
-    puppet = Puppet(replace(PLS, baud_pause=0.0))
-    puppet.answer(OK)
-    puppet.answer(OK)
-    assert puppet.answer() == make_telegram(commands.STOP, TO_SENSOR)
-    assert puppet.baud == 38400
 
 
 def test_a_late_reply_does_not_answer_the_next_command() -> None:

@@ -59,10 +59,9 @@ def recorded_like(rng, count):
     return delays.astype(np.int64)
 
 
-@pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
-def test_recorded_jitter_is_removed(drift):
-    rng = np.random.default_rng(1)
-    true = (np.arange(5000) * PERIOD * (1.0 + drift)).astype(np.int64)
+def test_recorded_jitter_is_removed():
+    rng, drift = np.random.default_rng(1), 1e-4
+    true = (np.arange(3000) * PERIOD * (1.0 + drift)).astype(np.int64)
     delays = recorded_like(rng, len(true))
     assert np.percentile(delays, 99) > 20 * MS
     errors = filtered(true + delays, [0] + [1] * (len(true) - 1)) - true
@@ -115,7 +114,7 @@ class Clocks:
         return self.stamps[-1] - (self.steady_ns - MS + self.offset_ns)
 
 
-@pytest.mark.parametrize("jump_s", [-3600.0, -10.0, -0.03, 0.03, 10.0, 86400.0])
+@pytest.mark.parametrize("jump_s", [-3600.0, -0.03, 0.03, 86400.0])
 def test_clock_jump_is_detected_and_stamps_stay_in_order(jump_s):
     clocks = Clocks()
     clocks.run(1.0)
@@ -135,7 +134,7 @@ def test_clock_jump_is_detected_and_stamps_stay_in_order(jump_s):
 def test_slewed_clock_is_followed_without_a_jump():
     for slew in (-5e-4, 5e-4):
         clocks = Clocks()
-        clocks.run(100.0, slew)
+        clocks.run(20.0, slew)
         assert clocks.jumps == 0
         assert clocks.ahead() == 0
 

@@ -79,11 +79,6 @@ def test_bytes_pass_a_pty_in_both_directions(pty_port, received, start_link):
     assert received == every_byte
     assert pty_port.read() == b""
     assert link.state().note == ""
-
-
-def test_baud_is_changed_through_the_link(pty_port, start_link):
-    link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
-    wait_for(lambda: link.state().connected)
     assert link.call_with_port(lambda port: port.set_baud(38400))
     assert pty_port.baud == 38400
 
@@ -322,9 +317,3 @@ def test_link_stops_while_its_port_keeps_receiving(received, start_link):
 
     start_link(lambda: Flood(OSError(), []))
     wait_for(lambda: received.data)
-
-
-def test_missing_bus_is_an_error_of_the_link(start_link):
-    link = start_link(partial(CanBus, "socketcan", "no_such_bus", {}))
-    wait_for(lambda: link.state().errors >= 1)
-    assert not link.state().connected

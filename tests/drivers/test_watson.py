@@ -142,11 +142,7 @@ def test_rejections_are_counted_and_pass(line, reason):
 
 @pytest.mark.parametrize(
     ("line", "text"),
-    [
-        (b"R +0.012 -0.003", "2 fields, 9 expected"),
-        (b"\x80\x80\x80", "frame of 3 bytes, 18 expected"),
-        (b"WATSON", "text, no data"),
-    ],
+    [(b"R +0.012 -0.003", "2 fields, 9 expected"), (b"\x80\x80\x80", "frame of 3 bytes, 18 expected")],
 )
 def test_the_number_of_fields_is_reported(line, text):
     parser = stream()
@@ -164,19 +160,15 @@ def test_invalid_magnetometer_drops_only_the_magnetic_field():
 
 @pytest.mark.parametrize(
     ("label", "rate", "over_range"),
-    [("R", 199.99, False), ("R", 200.0, True), ("r", 0.0, True), ("i", 0.0, True)],
+    [("R", 199.99, False), ("R", 1e9, True), ("R", -200.0, True), ("r", 0.0, True), ("i", 0.0, True)],
 )
 def test_over_range(label, rate, over_range):
+    """Values beyond full scale are limited."""
     (sample,) = stream().feed(encode_line(label, {"ZR": rate}, LAYOUT), 0)
     assert sample.over_range is over_range
-
-
-@pytest.mark.parametrize("value", [1e9, -1e9])
-def test_values_beyond_full_scale_are_limited_and_marked(value):
-    for encoded in (encode_line("R", {"ZR": value}, LAYOUT), encode_frame({"ZR": value}, LAYOUT)):
-        (sample,) = stream().feed(encoded, 0)
-        assert sample.over_range
-        assert sample.angular_velocity[2] == pytest.approx(-math.copysign(math.radians(200), value), rel=2e-4)
+    (limited,) = stream().feed(encode_frame({"ZR": math.copysign(1e9, rate)}, LAYOUT), 0)
+    assert limited.over_range
+    assert limited.angular_velocity[2] == pytest.approx(math.copysign(math.radians(200.0), -rate), rel=2e-4)
 
 
 def test_line_ends_of_every_kind():
@@ -207,13 +199,6 @@ def test_stamp_is_exact_after_one_prompt_read(before):
     assert samples[0].stamp_ns == pytest.approx(began_ns + 100_000, abs=2)
 
 
-def test_format_may_change_on_the_fly():
-    parser = stream()
-    values = {"ZA": -1.0}
-    data = encode_line("R", values, LAYOUT) + encode_frame(values, LAYOUT) + encode_line("R", values, LAYOUT)
-    assert [s.acceleration[2] for s in parser.feed(data, 0)] == pytest.approx([GRAVITY] * 3)
-
-
 def test_reset_forgets_half_a_line():
     parser = stream()
     line = encode_line("R", {}, LAYOUT)
@@ -241,8 +226,9 @@ def test_bad_channel_lists(names, formats, message):
 VALUES = st.fixed_dictionaries(
     {channel.name: st.floats(-channel.full_scale, channel.full_scale) for channel in LAYOUT.channels}
 )
+
 LABEL = st.sampled_from("IRGTirgt")
-seeded = settings(derandomize=True, max_examples=200, deadline=None)
+seeded = settings(derandomize=True, max_examples=60, deadline=None)
 
 
 def cut(data, places):
@@ -252,23 +238,16 @@ def cut(data, places):
 
 @seeded
 @given(LABEL, VALUES)
-def test_line_round_trip(label, values):
-    reading = decode_line(encode_line(label, values, LAYOUT)[:-1], LAYOUT)
-    assert isinstance(reading, Reading)
+def test_lines_and_frames_survive_a_round_trip(label, values):
+    line = decode_line(encode_line(label, values, LAYOUT)[:-1], LAYOUT)
+    frame = decode_frame(encode_frame(values, LAYOUT)[:-1], LAYOUT)
+    assert isinstance(line, Reading)
+    assert isinstance(frame, Reading)
     for channel in LAYOUT.channels:
-        error = abs(reading.values[channel.name] - values[channel.name])
-        assert error <= 0.5000001 * 10.0**-channel.decimals
-    assert reading.over_range >= label.islower()
-
-
-@seeded
-@given(VALUES)
-def test_frame_round_trip(values):
-    reading = decode_frame(encode_frame(values, LAYOUT)[:-1], LAYOUT)
-    assert isinstance(reading, Reading)
-    for channel in LAYOUT.channels:
-        error = abs(reading.values[channel.name] - values[channel.name])
-        assert error <= 1.000001 * channel.full_scale / 8192
+        value, step = values[channel.name], channel.full_scale / 8192
+        assert line.values[channel.name] == pytest.approx(value, abs=0.5000001 * 10.0**-channel.decimals)
+        assert frame.values[channel.name] == pytest.approx(value, abs=1.000001 * step)
+    assert line.over_range >= label.islower()
 
 
 READ_INTERVAL_NS = 100_000_000  # between reads of the port

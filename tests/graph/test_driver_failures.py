@@ -46,7 +46,7 @@ class FragileDriver(DriverNode[NoParameters, bytes]):
     def restart_decoding(self) -> None:
         self.begun += 1
 
-    def receive(self, data: bytes, arrival_ns: int) -> None:
+    def receive(self, data: bytes, steady_ns: int) -> None:
         if data == b"bad":
             raise ValueError("no such telegram")
         self.received.append(data)

@@ -31,10 +31,10 @@ class HeldDriver(CanDriverNode):
         self.samples, self.held = [], False
         super().__init__()
 
-    def receive(self, data, arrival_ns):
+    def _on_data(self, data, host_ns):
         while self.held:
             time.sleep(0.001)
-        super().receive(data, arrival_ns)
+        super()._on_data(data, host_ns)
 
     def restamp(self, sample):
         sample = super().restamp(sample)

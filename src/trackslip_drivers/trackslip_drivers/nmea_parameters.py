@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_drivers.serial_parameters import SerialParameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,16 +48,12 @@ class NtripParameters(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NmeaParameters(Parameters):
+class NmeaParameters(SerialParameters):
     """Port, times, and accuracies where the receiver states none."""
 
-    serial_port: str = parameter("device path or pyserial URL, such as socket://192.168.0.5:5017")
-    serial_baud: int = parameter("line rate; unused on a network", unit="baud", gt=0)
-    parity: str = parameter("parity of the line: N none, E even, O odd", choices=("N", "E", "O"))
     frame_id: str = parameter("frame of the antenna whose position is published")
     heading_frame_id: str = parameter("frame of the antenna pair")
     rate: float = parameter("rate of fixes that the receiver is set to", unit="Hz", gt=0.0, le=100.0)
-    time_offset: float = parameter("added to every stamp", unit="s")
     latency: float = parameter(
         "shortest time from a fix to the first byte that reports it",
         unit="s",

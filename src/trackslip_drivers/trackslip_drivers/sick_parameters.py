@@ -5,21 +5,19 @@
 from dataclasses import dataclass
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.parameters import parameter
 from trackslip_drivers.protocols.sick_commands import BAUD_CODES
+from trackslip_drivers.serial_parameters import SerialParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class SickParameters(Parameters):
+class SickParameters(SerialParameters):
     """Properties of a scanner, and of the line to it."""
 
-    serial_port: str = parameter("device path or pyserial URL of the scanner")
     serial_baud: int = parameter(
         "rate that the scanner is switched to; if it refuses, the next lower", unit="Bd", gt=0
     )
-    parity: str = parameter("parity of the line: N none, E even, O odd", choices=("N", "E", "O"))
     frame_id: str = parameter("frame of the scan")
-    time_offset: float = parameter("added to every stamp", unit="s")
     model: str = parameter("kind of scanner", choices=("pls", "lms"))
     clockwise: bool = parameter("whether the scanner hangs upside down, so that its rays run clockwise")
     range_min: float = parameter("shorter ranges are 'too close' (-inf)", unit="m", ge=0.0)

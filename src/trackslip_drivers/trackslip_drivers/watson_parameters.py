@@ -4,18 +4,15 @@
 
 from dataclasses import dataclass
 
-from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.parameters import parameter
+from trackslip_drivers.serial_parameters import SerialParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class WatsonParameters(Parameters):
+class WatsonParameters(SerialParameters):
     """Port, output that the unit is set to, and noise."""
 
-    serial_port: str = parameter("device path or pyserial URL")
-    serial_baud: int = parameter("line rate", unit="baud", gt=0)
-    parity: str = parameter("parity of the line: N none, E even, O odd", choices=("N", "E", "O"))
     frame_id: str = parameter("frame of the unit: x forward, y left, z up")
-    time_offset: float = parameter("added to the stamp of every line", unit="s")
     channels: tuple[str, ...] = parameter("the unit's labels of its channels, in the order sent")
     formats: tuple[str, ...] = parameter("format of each channel in a decimal line at zero, such as +00.0")
     full_scales: tuple[float, ...] = parameter(

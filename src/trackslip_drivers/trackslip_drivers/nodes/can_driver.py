@@ -69,7 +69,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         if self.settings.canopen_start:
             self.link.write(START_ALL)
 
-    def receive(self, data: CanFrame, arrival_ns: int) -> None:
+    def receive(self, data: CanFrame, steady_ns: int) -> None:
         """Decode one frame, and publish the samples that it completes."""
         if self.settings.canopen_start and (start := start_command(*data)):
             self.link.write(start)
@@ -77,12 +77,11 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:
             self._bus_state = BusState.ACTIVE  # restarted without an error frame
-        arrived_ns = self.arrival_time(arrival_ns)
-        if self.can_be_delayed(arrived_ns):
+        if self.can_be_delayed(steady_ns):
             self.tally.add(BUS, StampEvent.DELAYED)
             return
         sample: Any
-        for sample in self._can.receive(*data, arrived_ns):
+        for sample in self._can.receive(*data, steady_ns):
             output, fill = self._outputs[type(sample)]
             fill(output.message, self.restamp(sample))
             output.publish()

@@ -15,11 +15,14 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.failures import utc_date
 from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health
 from trackslip_common.parameters import Parameters
+from trackslip_drivers.serial_parameters import SerialParameters
 from trackslip_drivers.stamping import MonotonicStamps, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
+from trackslip_drivers.transports.serial_port import SerialPort
 
 P = TypeVar("P", bound=Parameters)
+L = TypeVar("L", bound=SerialParameters)
 D = TypeVar("D")  # data of the port: bytes, or a frame
 S = TypeVar("S", bound="Sample")
 
@@ -46,8 +49,9 @@ class Sample(Protocol):
 class DriverNode(TrackslipNode[P], Generic[P, D]):
     """Opens its link while active.
 
-    Subclasses override ``open_port``, ``restart_decoding``, ``receive`` and ``on_silence``.
-    Health reports whether data arrive, their rate and rejections: at 1 Hz, and when data begin or cease.
+    Subclasses override ``open_port``, ``restart_decoding``, ``receive`` and ``on_silence``, all called in
+    the link's thread. Health reports whether data arrive, their rate and rejections: at 1 Hz, and when data
+    begin or cease.
     """
 
     device = "sensor"  # name for users
@@ -70,31 +74,28 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             _CHECK_PERIOD, self._publish_health_on_change, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
-    def hardware(self) -> str:
-        """The serial port; without one, the node's name."""
-        return str(getattr(self.settings, "serial_port", self.full_name))
-
     def open_port(self) -> Port[D]:
-        """Open the port to the sensor, or raise; runs in the link's thread, as the next three methods do."""
+        """Open the port to the sensor, or raise."""
         raise NotImplementedError
 
     def restart_decoding(self) -> None:
         """Drop half-received data, after a port was opened or decoding failed."""
 
-    def receive(self, data: D, arrival_ns: int) -> None:
-        """Decode what the port received, and publish."""
+    def receive(self, data: D, steady_ns: int) -> None:
+        """Decode what the port received by this steady time, and publish."""
         raise NotImplementedError
 
-    def on_silence(self) -> None:
-        """React to a read that found no data."""
+    def on_silence(self, steady_ns: int) -> None:
+        """React to a read that found no data until this steady time."""
 
     def activate(self) -> None:
         """Set the clocks, and open the link."""
         self._host = HostClock()
         self._order: defaultdict[type, MonotonicStamps] = defaultdict(MonotonicStamps)
         guard = self.callback_failures.guard
-        receive = guard(self.receive, "received data", handles_data=True, recover=self.restart_decoding)
-        handlers = Handlers(receive, self.restart_decoding, guard(self.on_silence, "silence"))
+        receive = guard(self._on_data, "received data", handles_data=True, recover=self.restart_decoding)
+        on_silence = guard(lambda: self.on_silence(time.monotonic_ns()), "silence")
+        handlers = Handlers(receive, self.restart_decoding, on_silence)
         self._link = Link(self.get_name(), self.open_port, handlers, self.silence)
         self._link.start()
 
@@ -109,12 +110,12 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         assert self._link is not None
         return self._link
 
-    def arrival_time(self, host_ns: int) -> int:
-        """Steady time at which a port received data, from ``host_ns``; counts jumps of the host's clock."""
+    def _on_data(self, data: D, host_ns: int) -> None:
+        """Pass on data with the steady time of their arrival; counts jumps of the host's clock."""
         steady_ns, has_jumped = self._host.arrival(host_ns, self.link.read_monitor.emptied_ns)
         if has_jumped:
             self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
-        return steady_ns
+        self.receive(data, steady_ns)
 
     def can_be_delayed(self, steady_ns: int) -> bool:
         """Whether data that seem to have arrived just now may be delayed, as the host was suspended."""
@@ -175,28 +176,29 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
 
     def _condition(self) -> tuple[bytes, str]:
         """(level, message): whether data arrive, or the reason and remedy; without numbers that change."""
-        state, where = self.link.state(), self.link_name()
+        state, where, now_s = self.link.state(), self.link_name(), time.monotonic()
+        is_new, silent_s = now_s - state.changed_s < _OPENING_TIME, now_s - state.received_s
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
         if not state.connected and not state.was_silent:
             return ERROR, f"{where}: not connected ({state.last_error}); {self.advice}"
         limit_s = _STALE_PERIODS * self.period
-        if time.monotonic() - self._last_s <= limit_s:
+        if now_s - self._last_s <= limit_s:
             rejection, rejected_s, _ = self._rejected
-            is_recent = time.monotonic() - rejected_s < REPORT_TIME
+            is_recent = now_s - rejected_s < REPORT_TIME
             return (WARN, f"running; some is rejected: {rejection}") if is_recent else (OK, "running")
-        if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING_TIME:
+        if not self._published and state.connected and state.openings == 1 and is_new:
             return WARN, f"{where}: opened, no data yet"
         dialogue = f" ({self.dialogue_state()})" if self.dialogue_state() else ""
-        if state.silent_s < _SILENCE_LIMIT and (problem := self.unusable_data_message()):
+        if silent_s < _SILENCE_LIMIT and (problem := self.unusable_data_message()):
             return ERROR, f"{where}: {problem}"
-        if state.silent_s > 0.5 * limit_s or not state.has_received:
+        if silent_s > 0.5 * limit_s or not state.has_received:
             return STALE, f"{where}: no {self.data_name}{dialogue}; {self.advice}"
         reason = self._rejected[0] or "no complete message yet"
         if reason in self.transient_reasons:
             return WARN, f"{where}: {reason}{dialogue}; {self.transient_reasons[reason]}"
         message = f"{where}: {self.data_name} arrive, but none is usable: {reason}{dialogue}"
-        if time.monotonic() - self._last_s < limit_s + _SETTLING_TIME:
+        if now_s - self._last_s < limit_s + _SETTLING_TIME:
             return WARN, message
         return ERROR, f"{message}; check rate and format"
 
@@ -204,3 +206,19 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Publish health at once if its level has changed."""
         if self.active and self._link is not None and self._reported != self._condition()[0]:
             self.publish_health()
+
+
+class SerialDriverNode(DriverNode[L, bytes]):
+    """Base of the drivers of devices on a serial line, or behind another URL of pyserial."""
+
+    def hardware(self) -> str:
+        """The serial port."""
+        return self.settings.serial_port
+
+    def open_port(self) -> SerialPort:
+        """Open the serial port or socket."""
+        return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
+
+    def on_silence(self, steady_ns: int) -> None:
+        """Pass the empty read on: it ends an incomplete message, and shows a prompt host."""
+        self.receive(b"", steady_ns)

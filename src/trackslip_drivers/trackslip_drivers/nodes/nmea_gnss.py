@@ -14,7 +14,7 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.nodes.driver import SerialDriverNode
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
 from trackslip_drivers.protocols.nmea_sentences import Position, gga
 from trackslip_drivers.protocols.nmea_stream import (
@@ -28,12 +28,11 @@ from trackslip_drivers.protocols.nmea_stream import (
 )
 from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
 from trackslip_drivers.transports.ntrip import MAX_RATE, STALL_S, NtripClient, read_credentials
-from trackslip_drivers.transports.serial_port import SerialPort
 
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
 
 
-class NmeaNode(DriverNode[NmeaParameters, bytes]):
+class NmeaNode(SerialDriverNode[NmeaParameters]):
     """Receives bytes; publishes ``fix``, ``fix_velocity`` and ``heading``."""
 
     device = "GNSS receiver"
@@ -74,19 +73,15 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
             self._caster = None
         super().deactivate()
 
-    def open_port(self) -> SerialPort:
-        """Open the serial port or socket."""
-        return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
-
     def restart_decoding(self) -> None:
         """Drop half-received messages."""
         self._stream.reset()
 
-    def receive(self, data: bytes, arrival_ns: int) -> None:
+    def receive(self, data: bytes, steady_ns: int) -> None:
         """Decode received bytes, and publish."""
-        self._publish(self._stream.feed(data, self.arrival_time(arrival_ns)))
+        self._publish(self._stream.feed(data, steady_ns))
 
-    def on_silence(self) -> None:
+    def on_silence(self, steady_ns: int) -> None:
         """Publish a fix that waits for further sentences."""
         self._publish(self._stream.flush())
 

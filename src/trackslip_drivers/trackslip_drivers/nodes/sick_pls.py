@@ -11,20 +11,22 @@ from trackslip_common.nodes.health import ERROR, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.nodes.driver import SerialDriverNode
 from trackslip_drivers.protocols.sick_commands import Severity
 from trackslip_drivers.protocols.sick_scan import DeviceStatus
 from trackslip_drivers.protocols.sick_session import Phase, SickSession, scan_period
 from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.transports.serial_port import SerialPort
 
 _DIALOGUE_STEP = 0.01  # s between steps of the dialogue
 _STREAMING_STEP = 0.1  # s between steps while scans come, which only detect a silent scanner
 _STOP_TIMEOUT = 0.3  # s for the scanner to stop streaming
 
 
-class SickNode(DriverNode[SickParameters, bytes]):
-    """Receives bytes; publishes ``scan``. A ``SickSession`` runs the dialogue with the scanner."""
+class SickNode(SerialDriverNode[SickParameters]):
+    """Receives bytes; publishes ``scan``. A ``SickSession`` runs the dialogue with the scanner.
+
+    The session alone detects silence, as a booting scanner is silent.
+    """
 
     device = "SICK"
 
@@ -39,10 +41,6 @@ class SickNode(DriverNode[SickParameters, bytes]):
         self._session = SickSession(self.settings, self.tally)
         self._scans = self.advertise(topic_class("scan"), "scan")
         self._scan_status = DeviceStatus.from_byte(0)  # of the last scan
-
-    def open_port(self) -> SerialPort:
-        """Open the serial port; the session alone detects silence, as a booting scanner is silent."""
-        return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
     def activate(self) -> None:
         """Open the link, and run the dialogue in a thread: an rclpy timer costs ten times as much."""
@@ -120,15 +118,8 @@ class SickNode(DriverNode[SickParameters, bytes]):
         if action.write:
             self.link.write(action.write)
 
-    def receive(self, data: bytes, arrival_ns: int) -> None:
+    def receive(self, data: bytes, steady_ns: int) -> None:
         """Decode received bytes, and publish."""
-        self._receive(data, self.arrival_time(arrival_ns))
-
-    def on_silence(self) -> None:
-        """Let the session discard a truncated telegram."""
-        self._receive(b"", time.monotonic_ns())
-
-    def _receive(self, data: bytes, steady_ns: int) -> None:
         with self._lock:
             scans = self._session.receive(data, steady_ns)
         for scan in scans:

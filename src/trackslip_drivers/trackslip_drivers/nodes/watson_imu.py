@@ -10,14 +10,13 @@ from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.nodes.driver import REPORT_TIME, DriverNode
+from trackslip_drivers.nodes.driver import REPORT_TIME, SerialDriverNode
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
-from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_drivers.watson_parameters import WatsonParameters
 
 
-class WatsonNode(DriverNode[WatsonParameters, bytes]):
+class WatsonNode(SerialDriverNode[WatsonParameters]):
     """Receives bytes; publishes ``imu/data_raw`` and ``imu/mag``."""
 
     device = "Watson"
@@ -42,10 +41,6 @@ class WatsonNode(DriverNode[WatsonParameters, bytes]):
         self._imu = self.advertise_packed("imu/data_raw", motion)
         self._mag = self.advertise_packed("imu/mag", field)
 
-    def open_port(self) -> SerialPort:
-        """Open the serial port."""
-        return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
-
     def health(self) -> list[Health]:
         """The link's health, and whether a motion exceeded the unit's range."""
         entries, total = super().health(), self._over_range
@@ -60,15 +55,8 @@ class WatsonNode(DriverNode[WatsonParameters, bytes]):
         """Drop a half-received line."""
         self._stream.reset()
 
-    def receive(self, data: bytes, arrival_ns: int) -> None:
+    def receive(self, data: bytes, steady_ns: int) -> None:
         """Decode received bytes, and publish."""
-        self._receive(data, self.arrival_time(arrival_ns))
-
-    def on_silence(self) -> None:
-        """Pass the empty read to the stream, which then counts only the host's own pauses."""
-        self._receive(b"", time.monotonic_ns())
-
-    def _receive(self, data: bytes, steady_ns: int) -> None:
         for decoded in self._stream.feed(data, steady_ns):
             sample = self.restamp(decoded)
             self._over_range += sample.over_range

@@ -18,8 +18,8 @@ from typing import NamedTuple
 from pyrtcm import calc_crc24q
 from pyubx2 import calc_checksum
 
-from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, LONGEST_LINE
+from trackslip_drivers.protocols.timed_bytes import TimedBytes
 
 _UBX, _RTCM, _SENTENCE, _LF = b"\xb5\x62", 0xD3, ord("$"), ord("\n")
 _LINE_END = re.compile(rb"\n|\r(?=[$\xb5\xd3])")
@@ -59,8 +59,10 @@ class FrameSplitter:
     """
 
     def __init__(self, baud: int) -> None:
-        self._baud = baud
-        self.reset()
+        self._received = TimedBytes(BITS_PER_CHAR, baud)
+        self._pending = self._received.data
+        self._noise = bytearray()
+        self._overlong = False
 
     @property
     def bytes_held(self) -> int:
@@ -69,20 +71,17 @@ class FrameSplitter:
 
     def reset(self) -> None:
         """Drop an incomplete message."""
-        self._pending = bytearray()
-        self._reads: list[tuple[int, int]] = []  # (length of the pending bytes, arrival), of each read
-        self._latest_ns = 0  # arrival of the latest read
-        self._noise = bytearray()
+        self._received.clear()
+        self._noise.clear()
         self._overlong = False
 
     def feed(self, data: bytes, arrival_ns: int) -> Iterator[Frame]:
         """The pieces completed by one read, whose last byte arrived by ``arrival_ns``."""
         if not data:
             return
-        if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
+        if self._pending and arrival_ns - self._received.latest_ns > _STALL_NS:
             yield from self.split_pending()
-        self._pending += data
-        self._reads.append((len(self._pending), arrival_ns))
+        self._received.append(data, arrival_ns)
         yield from self._split()
 
     def split_pending(self) -> Iterator[Frame]:
@@ -151,13 +150,13 @@ class FrameSplitter:
         if self._pending[0] == _SENTENCE:
             yield from self._flush_noise(Kind.NOISE)
         if self._pending[0] == _LF:
-            self._discard_bytes(1)
+            self._received.discard(1)
             yield from self._flush_noise(Kind.TEXT)
             return
         match = _NOISE_END.search(self._pending, 1)
         size = match.start() if match else len(self._pending)
         self._noise += self._pending[:size]
-        self._discard_bytes(size)
+        self._received.discard(size)
         if len(self._noise) > LONGEST_LINE:
             self._overlong |= _NON_TEXT.search(self._noise) is None
             if not self._overlong:
@@ -177,23 +176,12 @@ class FrameSplitter:
         self._overlong = False
 
     def _noise_frame(self, kind: Kind) -> Frame:
-        ended_ns = self._reads[-1][1] if self._reads else self._latest_ns
-        return Frame(kind, bytes(self._noise), ended_ns, ended_ns)
+        return Frame(kind, bytes(self._noise), self._received.latest_ns, self._received.latest_ns)
 
     def _extract_message(self, kind: Kind, size: int) -> Frame:
-        """Remove a complete message; each read bounds its begin from above, at the line rate."""
-        received, arrival_ns = self._reads[-1]
-        begun_ns = min(arrived_ns - self.transfer_ns(count) for count, arrived_ns in self._reads)
+        """Remove a complete message."""
+        begun_ns, ended_ns = self._received.begun_ns(), self._received.ended_ns(size)
         content = bytes(self._pending[:size])
         content = content.rstrip(b"\r\n") if kind is Kind.SENTENCE else content
-        self._discard_bytes(size)
-        return Frame(kind, content, begun_ns, arrival_ns - self.transfer_ns(received - size))
-
-    def _discard_bytes(self, size: int) -> None:
-        self._latest_ns = self._reads[-1][1]
-        del self._pending[:size]
-        self._reads = [(count - size, arrival_ns) for count, arrival_ns in self._reads if count > size]
-
-    def transfer_ns(self, count: int) -> int:
-        """Time that ``count`` bytes take on the line, ns."""
-        return count * BITS_PER_CHAR * NS_PER_S // self._baud if self._baud else 0
+        self._received.discard(size)
+        return Frame(kind, content, begun_ns, ended_ns)

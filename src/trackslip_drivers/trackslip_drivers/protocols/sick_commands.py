@@ -88,20 +88,11 @@ class ModeChanged:
 
 
 @dataclass(frozen=True)
-class StatusReport:
-    """The scanner's description of itself; its layout depends on the model, so it stays bytes."""
-
-    content: bytes
+class Report:
+    """The scanner's status or its list of errors, which the driver does not request."""
 
 
-@dataclass(frozen=True)
-class ErrorReport:
-    """The scanner's list of errors: (severity, number)."""
-
-    entries: tuple[tuple[Severity, int], ...]
-
-
-Reply = PowerOn | ResetDone | CommandRefused | ModeChanged | StatusReport | ErrorReport
+Reply = PowerOn | ResetDone | CommandRefused | ModeChanged | Report
 
 
 def installation_mode(password: bytes) -> bytes:
@@ -127,14 +118,9 @@ def parse_reply(payload: bytes) -> Reply | ReplyFault:
         return ResetDone()
     if code == ReplyCode.REFUSED:
         return CommandRefused()
-    if code == ReplyCode.STATUS:
-        return StatusReport(content)
+    if code in (ReplyCode.STATUS, ReplyCode.ERRORS):
+        return Report()
     if code == ReplyCode.MODE:
         is_known = len(content) == 1 and content[0] in set(ModeResult)
         return ModeChanged(ModeResult(content[0])) if is_known else ReplyFault.BAD_STRUCTURE
-    if code == ReplyCode.ERRORS:
-        pairs = [(content[i], content[i + 1]) for i in range(0, len(content) - 1, 2)]
-        if len(content) % 2 or any(kind not in set(Severity) for kind, _ in pairs):
-            return ReplyFault.BAD_STRUCTURE
-        return ErrorReport(tuple((Severity(kind), number) for kind, number in pairs))
     return ReplyFault.UNKNOWN_CODE

@@ -5,13 +5,12 @@
 Single bytes ACK and NAK come between telegrams. All other bytes are garbage, and are counted.
 """
 
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
 from trackslip_common.tally import Tally
-from trackslip_common.units import NS_PER_S
 from trackslip_drivers.protocols.sick_crc import sick_crc
+from trackslip_drivers.protocols.timed_bytes import TimedBytes
 
 STX = 0x02
 TO_SENSOR = 0x00
@@ -81,13 +80,10 @@ class TelegramParser:
 
     def __init__(self, address: int, baud: int, bits_per_char: int, tally: Tally, source: str) -> None:
         self._address = address
-        self._bits_per_char = bits_per_char
         self._tally = tally
         self._source = source
-        self._char_ns = bits_per_char * NS_PER_S / baud
-        self._buffer = bytearray()
-        self._consumed = 0  # bytes of the stream before buffer[0]
-        self._reads: deque[tuple[int, int]] = deque()  # (bytes of the stream up to its end, arrival_ns)
+        self._received = TimedBytes(bits_per_char, baud)
+        self._buffer = self._received.data
         self._in_garbage = False
         self._last_arrival_ns: int | None = None
 
@@ -98,14 +94,14 @@ class TelegramParser:
 
     def set_baud(self, baud: int) -> None:
         """Change the line's rate; drops the bytes held, which came at the old one."""
-        self._char_ns = self._bits_per_char * NS_PER_S / baud
         self.discard_pending()
+        self._received.set_baud(baud)
         self._in_garbage = False
 
     def discard_pending(self) -> None:
         """After a loss of bytes: drop the incomplete telegram, and treat the next bytes as garbage."""
         self._reject(TelegramFault.GARBAGE_BYTE, len(self._buffer))
-        self._discard_bytes(len(self._buffer))
+        self._received.clear()
         self._in_garbage = True
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Telegram | Control]:
@@ -118,15 +114,14 @@ class TelegramParser:
         if data:
             self._in_garbage &= not was_silent
             self._last_arrival_ns = arrival_ns
-            self._buffer += data
-            self._reads.append((self._consumed + len(self._buffer), arrival_ns))
+            self._received.append(data, arrival_ns)
             self._parse_buffer(events)
         elif was_silent:
             while self._buffer:
                 self._reject(TelegramFault.TRUNCATED)
                 self._reject(TelegramFault.GARBAGE_BYTE)
                 self._in_garbage = True
-                self._discard_bytes(1)
+                self._received.discard(1)
                 self._parse_buffer(events)
         return events
 
@@ -147,7 +142,7 @@ class TelegramParser:
                 events.append(item)
                 self._in_garbage = False
                 at += len(item.payload) + _OVERHEAD if isinstance(item, Telegram) else 1
-        self._discard_bytes(at)
+        self._received.discard(at)
 
     def _parse_item(self, at: int) -> Telegram | Control | TelegramFault | None:
         """The item at an index of the buffer; None: it is incomplete."""
@@ -168,24 +163,8 @@ class TelegramParser:
         telegram = bytes(buffer[at : at + size])
         if sick_crc(telegram[:-2]) != int.from_bytes(telegram[-2:], "little"):
             return TelegramFault.BAD_CRC
-        start_ns = self._start_ns(self._consumed + at)
-        return Telegram(telegram[_HEADER:-2], start_ns, start_ns + round(size * self._char_ns))
-
-    def _start_ns(self, index: int) -> int:
-        """When a byte of the stream began to arrive: the latest time that is consistent with all reads.
-
-        All bytes of a read had arrived when it returned, and the line is no faster than its rate. Late reads
-        do no harm if one of the reads of a telegram was prompt.
-        """
-        bounds = (arrival - (end - index) * self._char_ns for end, arrival in self._reads if end > index)
-        return round(min(bounds))
-
-    def _discard_bytes(self, count: int) -> None:
-        """Drop bytes at the front of the buffer, and the reads that ended within them."""
-        del self._buffer[:count]
-        self._consumed += count
-        while self._reads and self._reads[0][0] <= self._consumed:
-            self._reads.popleft()
+        start_ns = self._received.begun_ns(at)
+        return Telegram(telegram[_HEADER:-2], start_ns, start_ns + self._received.transfer_ns(size))
 
     def _reject(self, fault: TelegramFault, count: int = 1) -> None:
         if count:

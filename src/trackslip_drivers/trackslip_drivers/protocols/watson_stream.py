@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Splits the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 from trackslip_common.tally import Tally
-from trackslip_drivers.protocols.lines import Line, LineSplitter
+from trackslip_drivers.protocols.timed_bytes import TimedBytes
 from trackslip_drivers.protocols.watson import (
     BITS_PER_CHAR,
     TERMINATOR,
@@ -27,6 +30,13 @@ _CLOCK_TOLERANCE = 0.01  # relative; the manuals give the rate as "about"
 _PATIENCE = 24  # lines
 
 
+class _Line(NamedTuple):
+    """One line, without its terminator; None if it exceeded the limit."""
+
+    text: bytes | None
+    begun_ns: int  # latest time at which its first character left the sender
+
+
 class WatsonStream:
     """Decodes bytes to samples; counts everything else.
 
@@ -36,43 +46,66 @@ class WatsonStream:
             received bytes is subtracted from their arrival.
         time_offset_ns: added to each stamp.
         tally: counts rejections.
+
+    Attributes:
+        limit: largest number of bytes held, so its memory is bounded.
     """
 
     def __init__(self, layout: Layout, baud: int, time_offset_ns: int, tally: Tally) -> None:
         self.tally = tally
+        self.limit = 4 * layout.line_length  # a banner's line may be longer than a line of data
         self._layout = layout
         self._time_offset_ns = time_offset_ns
-        limit = 4 * layout.line_length  # a banner's line may be longer than a line of data
-        self._lines = LineSplitter(TERMINATOR, limit, BITS_PER_CHAR, baud)
+        self._received = TimedBytes(BITS_PER_CHAR, baud)
         self._stamps = PeriodicStamps(_LINE_PERIOD_NS, _CLOCK_TOLERANCE, _PATIENCE)
         self.reset()
 
     @property
     def bytes_held(self) -> int:
-        """Number of bytes of the incomplete line."""
-        return self._lines.bytes_held
-
-    @property
-    def limit(self) -> int:
-        """Largest number of bytes held."""
-        return self._lines.limit
+        """Number of bytes of the incomplete line, at most ``limit``."""
+        return len(self._received.data)
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
         """The samples completed by one read (which may be empty); its last byte arrived by ``arrival_ns``."""
-        if self._backlog.is_backlog(self._lines.transfer_ns(len(data)), arrival_ns):
+        if self._backlog.is_backlog(self._received.transfer_ns(len(data)), arrival_ns):
             self.tally.add(IMU, StampEvent.DELAYED, len(data))
-            self._lines.reset()
+            self._drop_line()
             return []
-        decoded = [self._decode_sample(line) for line in self._lines.feed(data, arrival_ns)]
+        self._received.append(data, arrival_ns)
+        decoded = [self._decode_sample(line) for line in self._split_lines()]
         return [sample for sample in decoded if sample is not None]
 
     def reset(self) -> None:
         """Drop an incomplete line, and restart the stamps: the port was reopened."""
         self._backlog = BacklogDetector()
-        self._lines.reset()
+        self._drop_line()
         self._stamps.restart()
 
-    def _decode_sample(self, line: Line) -> ImuSample | None:
+    def _drop_line(self) -> None:
+        self._received.clear()
+        self._is_overlong = False
+
+    def _split_lines(self) -> Iterator[_Line]:
+        """The complete lines, without empty ones.
+
+        White space before a line is dropped: it may have come long before.
+        """
+        received, data = self._received, self._received.data
+        while True:
+            if not self._is_overlong:
+                received.discard(len(data) - len(data.lstrip()))
+            size = data.find(TERMINATOR)
+            if size < 0:
+                break
+            is_overlong = self._is_overlong or size > self.limit
+            yield _Line(None if is_overlong else bytes(data[:size]), received.begun_ns())
+            received.discard(size + 1)
+            self._is_overlong = False
+        self._is_overlong |= len(data) > self.limit
+        if self._is_overlong:
+            received.clear()
+
+    def _decode_sample(self, line: _Line) -> ImuSample | None:
         """The sample of a complete line; None if it is rejected, which is counted."""
         if line.text is None:
             self.tally.add(IMU, Rejection.OVERLONG)

@@ -11,7 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from trackslip_drivers.stamping import ReadMonitor
@@ -42,20 +42,20 @@ class Port(Protocol[T]):
         """Release the device; never called twice."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class LinkState:
-    """State of a link, for diagnostics."""
+    """State of a link, for diagnostics; times are of ``time.monotonic``, s."""
 
-    connected: bool
-    since_s: float  # time connected or disconnected
-    openings: int  # times the port was opened; reconnections are one less
-    errors: int
-    last_error: str
-    was_silent: bool  # the port was closed because nothing came
-    last_error_s: float  # system time of it, s since 1970; 0: none
-    note: str
-    silent_s: float  # s since data were received, or since the link was created
-    has_received: bool  # data were received since the link was created
+    changed_s: float  # since when it is connected or disconnected
+    received_s: float  # when data were last received, or the link was created
+    connected: bool = False
+    has_received: bool = False  # whether data were received since the link was created
+    openings: int = 0  # times the port was opened; reconnections are one less
+    errors: int = 0
+    last_error: str = ""
+    last_error_s: float = 0.0  # system time of it, s since 1970; 0: none
+    was_silent: bool = False  # the port was closed because nothing came
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,17 +98,9 @@ class Link(Generic[T]):
         self._handlers = handlers
         self._silence_s = silence_s
         self.read_monitor = ReadMonitor(time.monotonic_ns())
-        self._lock = threading.Lock()  # guards the attributes below
+        self._lock = threading.Lock()  # guards the port and the state
         self._port: Port[T] | None = None
-        self._changed_s = time.monotonic()
-        self._openings = 0
-        self._errors = 0
-        self._last_error = ""
-        self._was_silent = False
-        self._last_error_s = 0.0
-        self._received_s = time.monotonic()
-        self._has_received = False
-        self._note = ""
+        self._state = LinkState(time.monotonic(), time.monotonic())
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -143,20 +135,9 @@ class Link(Generic[T]):
         return True
 
     def state(self) -> LinkState:
-        """The state of the link."""
+        """The present state of the link."""
         with self._lock:
-            return LinkState(
-                connected=self._port is not None,
-                since_s=time.monotonic() - self._changed_s,
-                openings=self._openings,
-                errors=self._errors,
-                last_error=self._last_error,
-                was_silent=self._was_silent,
-                last_error_s=self._last_error_s,
-                note=self._note,
-                silent_s=time.monotonic() - self._received_s,
-                has_received=self._has_received,
-            )
+            return replace(self._state)
 
     def _run(self) -> None:
         """Connect, read and back off until stopped."""
@@ -170,15 +151,15 @@ class Link(Generic[T]):
                     self._set_port(port)
                     self._handlers.on_open()
                     for data, arrival_ns in self._read_until_stopped(port):
-                        received = self._has_received = True
-                        self._received_s = time.monotonic()
+                        received = self._state.has_received = True
+                        self._state.received_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
                 finally:
                     self._set_port(None)
                     port.close()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
                 self._note_error(error)
-            if self._was_silent:  # reopen without a pause: data sent to a closed port are lost
+            if self._state.was_silent:  # reopen without a pause: data sent to a closed port are lost
                 continue
             if received:  # a port that opens but never delivers keeps the longer pause
                 pause_s = FIRST_PAUSE_S
@@ -209,17 +190,18 @@ class Link(Generic[T]):
     def _set_port(self, port: Port[T] | None) -> None:
         with self._lock:
             self._port = port
-            self._changed_s = time.monotonic()
+            self._state.connected, self._state.changed_s = port is not None, time.monotonic()
             if port is not None:
-                self._openings += 1
-                self._note = port.note
+                self._state.openings += 1
+                self._state.note = port.note
 
     def _note_error(self, error: Exception) -> None:
+        state = self._state
         with self._lock:
-            self._errors += 1
-            self._last_error_s = time.time()
-            self._was_silent = isinstance(error, _SilentPortError)
-            self._last_error = str(error) if self._was_silent else error_text(error)
+            state.errors += 1
+            state.last_error_s = time.time()
+            state.was_silent = isinstance(error, _SilentPortError)
+            state.last_error = str(error) if state.was_silent else error_text(error)
 
 
 def error_text(error: Exception) -> str:

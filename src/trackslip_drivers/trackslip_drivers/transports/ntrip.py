@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
 
@@ -72,16 +72,21 @@ def read_credentials(path: Path) -> Credentials:
     return Credentials(lines[0], lines[1])
 
 
-@dataclass(frozen=True)
+@dataclass
 class CorrectionState:
     """State of the corrections, for diagnostics."""
 
-    fault: str  # reason why none come; empty if they do
-    age_s: float  # of the latest; infinite before the first
-    messages: int
-    bytes: int
-    left_out: int  # messages dropped because they exceeded the line's capacity
-    connections: int
+    fault: str = "not asked yet"  # reason why none come; empty if they do
+    latest_s: float = -math.inf  # time of the latest, of ``time.monotonic``
+    messages: int = 0
+    bytes: int = 0
+    left_out: int = 0  # messages dropped because they exceeded the line's capacity
+    connections: int = 0
+
+    @property
+    def age_s(self) -> float:
+        """Age of the latest; infinite before the first."""
+        return time.monotonic() - self.latest_s
 
 
 class _Fault(Exception):
@@ -152,10 +157,8 @@ class NtripClient:
         self.where = f"NTRIP caster {p.host}:{p.port}, mountpoint {p.mountpoint}"
         self._p, self._credentials, self._max_rate = p, credentials, max_rate
         self._on_message, self._gga = on_message, gga
-        self._lock = threading.Lock()  # guards the attributes below
-        self._fault = "not asked yet"
-        self._latest_s = -math.inf
-        self._messages = self._bytes = self._left_out = self._connections = 0
+        self._lock = threading.Lock()  # guards the state and the socket
+        self._state = CorrectionState()
         self._stopping = threading.Event()
         self._socket: socket.socket | None = None
         self._thread = threading.Thread(target=self._run, name="ntrip", daemon=True)
@@ -174,12 +177,9 @@ class NtripClient:
                 sock.shutdown(socket.SHUT_RDWR)
 
     def state(self) -> CorrectionState:
-        """The state of the corrections."""
+        """The present state of the corrections."""
         with self._lock:
-            age_s = time.monotonic() - self._latest_s
-            return CorrectionState(
-                self._fault, age_s, self._messages, self._bytes, self._left_out, self._connections
-            )
+            return replace(self._state)
 
     def _run(self) -> None:
         """Connect and receive until stopped."""
@@ -190,7 +190,7 @@ class NtripClient:
                 self._receive()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the caster is what failed)
                 with self._lock:
-                    self._fault = self._fault_text(error)
+                    self._state.fault = self._fault_text(error)
             if time.monotonic() - begun_s > _PAUSE_RESET_S:
                 pause_s = FIRST_PAUSE_S
             self._stopping.wait(pause_s)
@@ -224,8 +224,8 @@ class NtripClient:
             if (sentence := self._gga()) is not None:
                 return sentence
             with self._lock:
-                if self._messages == 0:
-                    self._fault = "waiting for the first position, which the caster requires"
+                if self._state.messages == 0:
+                    self._state.fault = "waiting for the first position, which the caster requires"
             self._stopping.wait(_POSITION_CHECK_S)
         return None
 
@@ -238,7 +238,7 @@ class NtripClient:
             connection = HTTPConnection(p.host, p.port, timeout=STALL_S)
         connection.response_class = _Response
         with self._lock:
-            self._connections += 1
+            self._state.connections += 1
         return connection
 
     def _request_stream(self, connection: HTTPConnection, position: bytes | None) -> HTTPResponse:
@@ -282,10 +282,12 @@ class NtripClient:
                 sent_s = now_s
 
     def _count_message(self, size: int, *, is_sent: bool) -> None:
+        state = self._state
         with self._lock:
-            self._left_out += not is_sent
-            self._messages, self._bytes = self._messages + is_sent, self._bytes + is_sent * size
-            self._latest_s, self._fault = time.monotonic(), ""
+            state.left_out += not is_sent
+            state.messages += is_sent
+            state.bytes += is_sent * size
+            state.latest_s, state.fault = time.monotonic(), ""
 
     @staticmethod
     def _fault_text(error: Exception) -> str:
