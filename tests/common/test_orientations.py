@@ -10,7 +10,7 @@ import pytest
 from trackslip_common.orientations import heading_text, headings_of, is_heading_known, tilts_of
 
 
-@pytest.mark.parametrize("stddev", [1.81, 19.2, 1e9, math.inf, math.nan])
+@pytest.mark.parametrize("stddev", [1.81, math.inf, math.nan])
 def test_heading_with_a_large_deviation_is_unknown(stddev: float) -> None:
     """π/√3 = 1.81 rad is the standard deviation of a uniform heading: ±1100° gives no information."""
     assert heading_text(0.3, stddev**2, 2.0) == "unknown"

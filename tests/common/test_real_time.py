@@ -47,12 +47,12 @@ def test_a_stalled_computer_is_distinguished_from_a_busy_one(watch_of, late_s, s
         (0.4, "call", True, "skipped"),
         (0.4, "call", False, "passed"),
         (0.0, "call", True, "failed"),
-        (0.4, "setup", True, "skipped"),
+        (None, "call", True, "failed"),  # a test that does not ask for real time
         (0.4, "teardown", True, "failed"),
     ],
 )
 def test_only_failed_tests_on_a_stalled_machine_are_skipped(watch_of, late_s, when, failed, outcome):
-    stash = {real_time._WATCH: watch_of((late_s,))}
+    stash = {} if late_s is None else {real_time._WATCH: watch_of((late_s,))}
     item = SimpleNamespace(stash=stash, location=("test_it.py", 7, "test_it"))
     call = SimpleNamespace(excinfo=SimpleNamespace(exconly=lambda: "AssertionError: 49 Hz"), when=when)
     report = SimpleNamespace(outcome="failed" if failed else "passed", failed=failed, longrepr=None)
@@ -62,12 +62,3 @@ def test_only_failed_tests_on_a_stalled_machine_are_skipped(watch_of, late_s, wh
         hook.send(report)
     assert stop.value.value.outcome == outcome
     assert ("49 Hz" in str(report.longrepr)) == (outcome == "skipped")
-
-
-def test_a_test_that_does_not_ask_for_real_time_fails_anywhere():
-    item = SimpleNamespace(stash={}, location=("test_it.py", 7, "test_it"))
-    hook = real_time.pytest_runtest_makereport(item, SimpleNamespace(excinfo=None, when="call"))
-    next(hook)
-    with pytest.raises(StopIteration) as stop:
-        hook.send(SimpleNamespace(outcome="failed", failed=True))
-    assert stop.value.value.outcome == "failed"

@@ -4,10 +4,8 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
 
 from trackslip_common.config_files import config_directory
 from trackslip_common.errors import InputError
@@ -198,33 +196,25 @@ def test_number_in_another_group_is_refused_with_its_group(text: str, meant: str
         load_vehicle(str(file))
 
 
-_SIZES = {  # r, B, l; m, I_z, b; V_m, n_g, p, Q; m_u
-    "robot of 17 kg": ((0.05, 0.38, 0.4), (17.0, 0.6, 0.08), (1e-6, 10.0, 5e6, 1e-5), 2.0),
-    "robot of 100 kg": ((0.08, 0.5, 0.6), (100.0, 8.0, 0.12), (8e-6, 10.0, 16e6, 5e-5), 30.0),
-    "snow groomer": ((0.35, 3.2, 4.5), (9500.0, 4e4, 1.6), (160e-6, 60.0, 42e6, 6e-3), 3000.0),
-    "excavator of 100 t": ((0.58, 3.9, 5.1), (1e5, 7e5, 0.75), (350e-6, 130.0, 35e6, 8e-3), 6.5e4),
-    "mining shovel": ((1.2, 6.4, 8.2), (9.8e5, 3e7, 1.8), (1e-3, 400.0, 36e6, 0.03), 7e5),
+_SIZED = (
+    *("kinematics.rolling_radius", "kinematics.tread", "kinematics.contact_length"),
+    *("mass.mass", "mass.yaw_inertia", "mass.track_width", "hydraulics.motor_displacement"),
+    *("hydraulics.gear_ratio", "hydraulics.relief_pressure", "hydraulics.pump_flow", "upper_structure.mass"),
+)
+_SIZES = {
+    "robot of 17 kg": (0.05, 0.38, 0.4, 17.0, 0.6, 0.08, 1e-6, 10.0, 5e6, 1e-5, 2.0),
+    "robot of 100 kg": (0.08, 0.5, 0.6, 100.0, 8.0, 0.12, 8e-6, 10.0, 16e6, 5e-5, 30.0),
+    "snow groomer": (0.35, 3.2, 4.5, 9500.0, 4e4, 1.6, 160e-6, 60.0, 42e6, 6e-3, 3000.0),
+    "excavator of 100 t": (0.58, 3.9, 5.1, 1e5, 7e5, 0.75, 350e-6, 130.0, 35e6, 8e-3, 6.5e4),
+    "mining shovel": (1.2, 6.4, 8.2, 9.8e5, 3e7, 1.8, 1e-3, 400.0, 36e6, 0.03, 7e5),
 }
 
 
 @pytest.mark.parametrize("numbers", _SIZES.values(), ids=_SIZES)
-def test_a_machine_of_any_size_is_accepted(numbers: tuple[Any, ...], file: Path) -> None:
-    (r, tread, length), (mass, inertia, width), (displacement, ratio, relief, flow), upper = numbers
-    tree = {
-        "kinematics": {"rolling_radius": r, "tread": tread, "contact_length": length},
-        "mass": {"mass": mass, "yaw_inertia": inertia, "track_width": width},
-        "hydraulics": {
-            "motor_displacement": displacement,
-            "gear_ratio": ratio,
-            "motor_efficiency": 0.8,
-            "volumetric_efficiency": 0.9,
-            "relief_pressure": relief,
-            "pump_flow": flow,
-        },
-        "upper_structure": {"mass": upper, "swing_axis_x": 0.0, "swing_axis_y": 0.0, "centre_x": 0.3},
-    }
-    file.write_text(yaml.safe_dump(tree), encoding="utf-8")
-    assert load_vehicle(str(file)).whole().mass == mass
+def test_a_machine_of_any_size_is_accepted(numbers: tuple[float, ...]) -> None:
+    sized = dict(zip(_SIZED, numbers, strict=True))
+    whole = make_vehicle("x", to_flat(parse_vehicle(_WHOLE, "file")) | sized, "file").whole()
+    assert whole.mass == sized["mass.mass"]
 
 
 @pytest.mark.parametrize("name", vehicle_names())

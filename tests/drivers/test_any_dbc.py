@@ -20,13 +20,10 @@ from trackslip_drivers.records import SprocketSample
 S = 1_000_000_000
 
 
-UNREADABLE = {
+UNUSED = {  # according to the roles
     "29-bit id without its flag": 'BO_ 419349237 Body: 8 MC\n SG_ Door : 0|1@1+ (1,0) [0|1] "" ECU\n',
     "two multiplexers at a place": 'BO_ 1029 X: 8 MC\n SG_ A m0 : 0|8@1+ (1,0) [0|0] "" ECU\n'
     "SG_MUL_VAL_ 1029 A Gone 0-0;\n",
-}
-UNUSED = {  # unused according to the roles
-    **UNREADABLE,
     "choices of no signal": 'VAL_ 387 Gone 1 "on" 0 "off" ;\n',
     "choices of no frame": 'VAL_ 999 Gone 1 "on" 0 "off" ;\n',
     "a comment on no signal": 'CM_ SG_ 387 Gone "\nBO_ 5 Five: 8 X\n";\n',
@@ -42,10 +39,9 @@ def test_unreadable_frames_without_a_role_are_skipped(tmp_path, text):
 
 
 def test_a_role_in_a_frame_that_cannot_be_read_names_the_frame(tmp_path):
-    dbc = unseen_bus.DBC + UNREADABLE["29-bit id without its flag"]
+    dbc = unseen_bus.DBC + UNUSED["29-bit id without its flag"]
     text = refusal(tmp_path, "{signal: Upper.Swing, offset: 90.0, sign: -1}", "Body.Door", dbc)
-    assert "frame 'Body' there: " in text
-    assert "more than 11 bits" in text
+    assert re.search("frame 'Body' there: .*more than 11 bits", text)
 
 
 @pytest.mark.parametrize("zeros", ["[0.0|0.0]", "[0|0]", "[0E0|-0.0]"])
@@ -194,10 +190,9 @@ def test_degree_sign_is_read_in_any_encoding(tmp_path, encoding):
     assert frames.bindings.position_signals["swing"].rad_per_step == pytest.approx(-math.radians(0.1))
 
 
-@pytest.mark.parametrize("low", [0.0, -180.0], ids=["0 to 360", "-180 to 180"])
 @pytest.mark.parametrize(
-    ("signal", "unit"),
-    [("16@0- (0.1,0)", "deg"), ("16@0- (0.0055,0)", "°"), ("16@0- (0.001,0)", "rad")],
+    ("signal", "unit", "low"),
+    [("16@0- (0.1,0)", "deg", 0.0), ("16@0- (0.0055,0)", "°", -180.0), ("16@0- (0.001,0)", "rad", 0.0)],
     ids=["0.1 deg", "360/65536 deg, rounded", "mrad"],
 )
 def test_swing_without_a_range_is_continuous_over_its_wrap(tmp_path, signal, unit, low):

@@ -121,7 +121,7 @@ def test_stuck_counter_stays_rejected(decoder, tally):
     assert tally.total[SPOOLS, "alive counter repeated"] == 99
 
 
-@pytest.mark.parametrize("lost", [0, 1, 15, 16, 1000])
+@pytest.mark.parametrize("lost", [0, 1, 15, 16, 76, 1000])
 @pytest.mark.parametrize("late", [-0.3, 2.0])
 def test_lost_frames_are_counted_and_the_next_is_accepted(decoder, tally, lost, late):
     for n in range(3):

@@ -55,7 +55,7 @@ def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
 @pytest.mark.parametrize("speed", [-3.0, 0.0, 0.4, 3.14])
 @pytest.mark.parametrize("gap", [25, 60])
 def test_silence_neither_adds_nor_loses_motion(speed, gap):
-    """At constant and at steadily decreasing speed; the position after the silence is the true one."""
+    """At steadily decreasing speed; the position after the silence is the true one."""
     unit, position, cycle = Encoder(), 7.0, 0
     last = None
     for k in range(40):

@@ -187,46 +187,37 @@ def test_each_fault_is_named_and_corrections_come_again_after_it(
 
 
 def test_flood_reaches_the_receiver_no_faster_than_its_line(casters: Callable[..., Caster]) -> None:
-    began_s = time.monotonic()
-    with Receiver(casters(FAULTS["1 MB/s"][0], streams(0))) as receiver:
+    """A caster that then closes cannot be reached."""
+    caster, began_s = casters(FAULTS["1 MB/s"][0], streams(0)), time.monotonic()
+    with Receiver(caster) as receiver:
         receiver.wait_for_fault("sends more than")
-        elapsed_s = time.monotonic() - began_s
-        assert sum(map(len, receiver.messages)) < LINE_RATE * (1.0 + elapsed_s)
+        assert sum(map(len, receiver.messages)) < LINE_RATE * (1.0 + time.monotonic() - began_s)
         assert receiver.client.state().left_out > 0
-
-
-def test_unreachable_caster_is_reported(casters: Callable[..., Caster]) -> None:
-    caster = casters(streams(0))
     caster.close()
     with Receiver(caster) as receiver:
         receiver.wait_for_fault("not connected")
-
-
-def test_credentials_are_two_lines_of_a_file_that_only_its_owner_reads(tmp_path: Path) -> None:
-    file = tmp_path / "ntrip"
-    file.write_text(f"{USER}\n{PASSWORD}\n", encoding="utf-8")
-    file.chmod(0o600)
-    credentials = read_credentials(file)
-    assert (credentials.user, credentials.password) == (USER, PASSWORD)
-    assert PASSWORD not in f"{credentials} {credentials!r}"
 
 
 @pytest.mark.parametrize(
     ("content", "mode"),
     [(f"{USER}\n{PASSWORD}\n", 0o640), (f"{USER}\n", 0o600), ("", 0o600), (f"a:b\n{PASSWORD}\n", 0o600)],
 )
-def test_other_files_of_credentials_are_refused_without_their_content(
+def test_credentials_are_two_lines_of_a_file_that_only_its_owner_reads(
     tmp_path: Path, content: str, mode: int
 ) -> None:
     file = tmp_path / "ntrip"
+    file.write_text(f"{USER}\n{PASSWORD}\n", encoding="utf-8")
+    file.chmod(0o600)
+    credentials = read_credentials(file)
+    assert (credentials.user, credentials.password) == (USER, PASSWORD)
+    assert PASSWORD not in f"{credentials} {credentials!r}"
     file.write_text(content, encoding="utf-8")
     file.chmod(mode)
-    with pytest.raises(InputError) as refused:
-        read_credentials(file)
-    assert PASSWORD not in str(refused.value)
-    assert "\n" not in str(refused.value)
-    with pytest.raises(InputError):
-        read_credentials(tmp_path / "missing")
+    for path in (file, tmp_path / "missing"):
+        with pytest.raises(InputError) as refused:
+            read_credentials(path)
+        assert PASSWORD not in str(refused.value)
+        assert "\n" not in str(refused.value)
 
 
 def test_caster_without_a_mountpoint_is_refused() -> None:

@@ -34,12 +34,6 @@ def test_other_terminal_errors_are_not_swallowed(monkeypatch):
         SerialPort("anything", 9600, "N")
 
 
-def test_read_times_out_empty(pty_port):
-    port = SerialPort(str(pty_port.link), 9600, "N")
-    assert port.read() == []
-    port.close()
-
-
 def test_bytes_that_arrive_in_drips_are_read_at_once(pty_port, monkeypatch):
     port, sleep = SerialPort(str(pty_port.link), 9600, "N"), time.sleep
 

@@ -94,14 +94,11 @@ def test_solution_decides_the_status(flags, status, quality):
     assert sample.status is status
 
 
-def test_velocity_and_its_accuracy_have_the_epoch_of_the_fix():
-    velocity, fix = NmeaStream(P, Tally()).feed(pvt(velE=1500, velN=-200, sAcc=40), S)
-    assert velocity == VelocitySample(fix.stamp_ns, *map(pytest.approx, (1.5, -0.2, 0.04)))
-
-
-def test_impossible_velocity_is_refused_and_the_fix_is_not():
+def test_velocity_has_the_epoch_of_the_fix_and_an_impossible_one_is_refused():
     stream = NmeaStream(P, Tally())
-    (fix,) = stream.feed(pvt(velE=150_000, sAcc=40), S)
+    velocity, fix = stream.feed(pvt(velE=1500, velN=-200, sAcc=40), S)
+    assert velocity == VelocitySample(fix.stamp_ns, *map(pytest.approx, (1.5, -0.2, 0.04)))
+    (fix,) = stream.feed(pvt(TOW + 1000, velE=150_000, sAcc=40), 2 * S)
     assert isinstance(fix, FixSample)
     assert stream.tally.by_source()["fix_velocity"] == {"out of range": 1}
 

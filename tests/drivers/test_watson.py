@@ -50,8 +50,6 @@ DMS_LINE = (
     b"I 000000.0 +001.0 +00.2 000.0 +0.00 -0.02 -0.99 -0.00 +0.00 -0.99 +00.0 -00.0 +00.0 -00.0 "
     b"****.* +**.***** +***.***** *****"
 )
-MANUAL_FRAME = bytes.fromhex("85AA FE9C F080 8399 FB99 91CC 0D")
-LEVEL_FRAME = bytes.fromhex("8080 FE9A F9EE 8399 FB99 91CC 0D")
 BAUD = 9600
 CHAR_NS = 10 * 1_000_000_000 / BAUD
 
@@ -80,25 +78,24 @@ def test_real_line_with_invalid_fields():
     assert sample.magnetic_field is None
 
 
-def test_binary_frame_of_the_manual():
-    layout = Layout(SIX, SIX_FORMATS, [180.0, 180.0, 180.0, 200.0, 200.0, 200.0])
-    reading = decode_frame(MANUAL_FRAME[:-1], layout)
+@pytest.mark.parametrize(
+    ("frame", "full_scale", "values"),
+    [
+        ("85AA FE9C F080 8399 FB99 91CC 0D", 180.0, (15.0, -5.0, -45.0, 10.0, -15.0, 55.0)),
+        ("8080 FE9A F9EE 8399 FB99 91CC 0D", 10.0, (0.0, -0.28, -0.96, 10.0, -15.0, 55.0)),
+    ],
+    ids=["manual", "level"],
+)
+def test_binary_frames(frame, full_scale, values):
+    layout, sent = Layout(SIX, SIX_FORMATS, [full_scale] * 3 + [200.0] * 3), bytes.fromhex(frame)
+    reading = decode_frame(sent[:-1], layout)
     assert isinstance(reading, Reading)
-    resolution = 200.0 / 8192
-    expected = dict(zip(SIX, (15.0, -5.0, -45.0, 10.0, -15.0, 55.0), strict=True))
-    assert reading.values == pytest.approx(expected, abs=resolution)
-    assert encode_frame(reading.values, layout) == MANUAL_FRAME
-
-
-def test_binary_frame_of_a_level_unit():
-    layout = Layout(SIX, SIX_FORMATS, [10.0, 10.0, 10.0, 200.0, 200.0, 200.0])
-    reading = decode_frame(LEVEL_FRAME[:-1], layout)
-    assert isinstance(reading, Reading)
-    assert [round(reading.values[name], 2) for name in ("XA", "YA", "ZA")] == [0.0, -0.28, -0.96]
-    assert encode_frame(reading.values, layout) == LEVEL_FRAME
+    assert reading.values == pytest.approx(dict(zip(SIX, values, strict=True)), abs=200.0 / 8192)
+    assert encode_frame(reading.values, layout) == sent
     sample = to_sample(reading, 0)
     assert not isinstance(sample, Rejection)
-    assert sample.acceleration == pytest.approx((0.0, 0.28 * GRAVITY, 0.96 * GRAVITY), abs=0.02)
+    x, y, z = (GRAVITY * value for value in values[:3])
+    assert sample.acceleration == pytest.approx((x, -y, -z), abs=0.025 * GRAVITY)
     assert sample.angular_velocity[2] == pytest.approx(math.radians(-55.0), abs=0.001)
 
 
