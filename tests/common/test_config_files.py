@@ -18,6 +18,7 @@ from trackslip_common.config_files import (
     read_yaml,
 )
 from trackslip_common.errors import InputError
+from trackslip_common.nodes.parameters import names_in_shared_sections
 from trackslip_common.parameters import Parameters, flatten, to_flat
 from trackslip_drivers import can_parameters
 from trackslip_drivers.sick_parameters import SickParameters
@@ -113,6 +114,12 @@ def test_other_sections_and_parameters_of_ros_itself_are_passed_over() -> None:
     own = {"use_sim_time": True, "start_type_description_service": True, "qos_overrides": {"/b": {"c": 1}}}
     tree = {"node": {"ros__parameters": {"a": 1, **own}}, 5: {"b": 1}, None: {"b": 1}, "5": {"b": 1}}
     assert node_parameters(tree, "node", "file") == {"a": 1}  # type: ignore[arg-type]
+
+
+def test_names_of_sections_for_many_nodes_are_found_beside_sections_of_any_name(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("5: {ros__parameters: {a: 1}}\n/**: {ros__parameters: {b: {c: 1}}}\n", encoding="utf-8")
+    assert names_in_shared_sections(["--params-file", str(file)]) == {"b.c"}
 
 
 def test_the_parameters_of_a_mapping_are_those_of_the_estimator() -> None:

@@ -58,7 +58,7 @@ def read_overrides(
     shared = to_flat(common)
     shared |= {key: overrides.pop(key) for key in shared.keys() & overrides.keys()}
     name, defaults = node.get_name(), node_defaults(what, *default_files)
-    shared_names = _names_in_shared_sections(sys.argv)
+    shared_names = names_in_shared_sections(sys.argv)
     if shared_names & overrides.keys():
         known = {*known_names(kind, kind.overlay(defaults, overrides), name), *kind.EXTRA_NAMES}
         for key in sorted(shared_names & overrides.keys() - known):
@@ -69,13 +69,13 @@ def read_overrides(
     return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlay(defaults, overrides), name)
 
 
-def _names_in_shared_sections(arguments: Sequence[str]) -> frozenset[str]:
+def names_in_shared_sections(arguments: Sequence[str]) -> frozenset[str]:
     """Dotted names in sections such as ``/**`` of the parameter files of a command line."""
     files = [file for flag, file in pairwise(arguments) if flag == "--params-file"]
     names: set[str] = set()
     for file in files:
         with suppress(InputError):  # rcl has read or rejected the file
-            sections = [body for name, body in read_yaml(Path(file)).items() if "*" in name]
+            sections = [body for name, body in read_yaml(Path(file)).items() if "*" in str(name)]
             names.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
     return frozenset(names)
 
