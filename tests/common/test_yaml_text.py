@@ -50,26 +50,22 @@ def test_values_are_read_as_ros_reads_them(text: str, value: object) -> None:
     assert parse_yaml(f"a: {text}", "text") == {"a": value}
 
 
-@pytest.mark.parametrize("text", ["a:\n\tb: 1\n", "a:\n  b: 1\n\tc: 2\n"])
-def test_tab_in_an_indent_is_named_with_its_line(text: str) -> None:
-    line = text[: text.index("\t")].count("\n") + 1
-    with pytest.raises(InputError, match=rf"^file: .*tab.*line {line}.*accepted: blanks"):
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("a:\n\tb: 1\n", r"tab.*line 2, column 1.*accepted: blanks"),
+        ("a:\n  b: 1\n\tc: 2\n", r"tab.*line 3, column 1.*accepted: blanks"),
+        ("a: 1\nb:2\nc: 3\n", r"line 2, column 1"),
+    ],
+)
+def test_place_of_a_yaml_error_is_a_line_and_a_column(text: str, place: str) -> None:
+    with pytest.raises(InputError, match=f"^file: [^<]*{place}"):
         parse_yaml(text, "file")
 
 
-def test_place_of_a_yaml_error_is_a_line_and_a_column() -> None:
-    with pytest.raises(InputError) as refused:
-        parse_yaml("a: 1\nb:2\nc: 3\n", "file")
-    assert "line 2, column 1" in str(refused.value)
-    assert "<" not in str(refused.value)
-
-
-def test_control_characters_in_errors_are_escaped() -> None:
-    error = InputError('unknown parameter "\x1b]0;title\x07" and\nmore')
-    assert str(error).isprintable()
-    assert "\\x1b]0;title\\x07" in str(error)
-
-
-def test_shown_text_has_no_control_characters(capsys: pytest.CaptureFixture[str]) -> None:
+def test_texts_shown_have_no_control_characters(capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        str(InputError('unknown "\x1b]0;title\x07" and\nmore')) == 'unknown "\\x1b]0;title\\x07" and\\nmore'
+    )
     show("a\x1b[2J\nb\x07", 3)
     assert capsys.readouterr().out == "a\\x1b[2J\nb\\x07\n3\n"

@@ -81,15 +81,10 @@ def test_pls_ranges() -> None:
     assert ranges_of(raw(2500), replace(PLS, range_max=20.0)).tolist() == [np.inf]
 
 
-@pytest.mark.parametrize("unit", [0, 1, 2, 3])
-def test_the_unit_counts_on_an_lms_only(unit: int) -> None:
-    scan = raw(600, unit=unit)
-    assert ranges_of(scan, PLS)[0] == pytest.approx(6.0)
-    assert ranges_of(scan, LMS)[0] == pytest.approx([6.0, 0.6, 60.0, 60.0][unit])
-
-
-@pytest.mark.parametrize("unit", [0, 1])
-def test_lms_reserved_distances(unit: int) -> None:
+@pytest.mark.parametrize(("unit", "metres"), [(0, 6.0), (1, 0.6), (2, 60.0), (3, 60.0)])
+def test_the_unit_and_the_reserved_distances_count_on_an_lms_only(unit: int, metres: float) -> None:
+    assert ranges_of(raw(600, unit=unit), PLS)[0] == pytest.approx(6.0)
+    assert ranges_of(raw(600, unit=unit), LMS)[0] == pytest.approx(metres)
     ranges = ranges_of(raw(8191, 8190, 8189, 8187, 8186, 8183, unit=unit), LMS)
     np.testing.assert_equal(ranges, [np.nan] * 5 + [np.inf])
     assert ranges_of(raw(8182, unit=1), LMS)[0] == pytest.approx(8.182)

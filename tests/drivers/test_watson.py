@@ -127,13 +127,15 @@ def test_configured_line_fits_the_rate():
         (b"R +0.012 -0.003 -1.001 +000.04 -000.11 +***.** +0213 -0041 -0466", Rejection.INVALID),
         (b"R \x80\x80", Rejection.GARBLED),
         (b"\x80\x80\x80", Rejection.WRONG_COUNT),
-        (b"x" * 5000, Rejection.OVERLONG),
+        pytest.param(b"x" * 5000, Rejection.OVERLONG, id="overlong"),
     ],
 )
 def test_rejections_are_counted_and_pass(line, reason):
     good = encode_line("R", {"ZA": -1.0}, LAYOUT)
-    parser = stream()
-    assert len(parser.feed(good + line + b"\r" + good, 0)) == 2
+    parser, data = stream(), good + line + b"\r" + good
+    samples = parser.feed(data[:1000], 0)
+    assert parser.bytes_held <= parser.limit
+    assert len(samples + parser.feed(data[1000:], 0)) == 2
     assert parser.tally.total == {(IMU, reason.value): 1}
 
 
