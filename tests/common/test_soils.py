@@ -43,14 +43,14 @@ def test_tables_are_as_printed():
         s = soil(name)
         values = [s.cohesion, s.friction_angle, s.shear_modulus, s.mu_r, s.mu_l, s.n, s.k_c, s.k_phi]
         assert values == scaled(row, (1e3, math.pi / 180, 0.01, 1, 1, 1, 1e3, 1e3)), name
-    for name, row in TABLE_2_1.items():
+    for name, shear in TABLE_2_1.items():
         s = soil(name)
         values = [s.cohesion, s.friction_angle, s.shear_modulus]
         values += [s.rubber_cohesion, s.rubber_friction_angle, s.rubber_shear_modulus]
-        assert values == scaled(row, (1e3, math.pi / 180, 0.01) * 2), name
-    for name, row in TABLE_2_2.items():
+        assert values == scaled(shear, (1e3, math.pi / 180, 0.01) * 2), name
+    for name, sinkage in TABLE_2_2.items():
         s = soil(name)
-        assert [s.n, s.k_c, s.k_phi, s.k_0, s.a_u] == scaled(row, (1, 1e3, 1e3, 1e3, 1e3)), name
+        assert [s.n, s.k_c, s.k_phi, s.k_0, s.a_u] == scaled(sinkage, (1, 1e3, 1e3, 1e3, 1e3)), name
 
 
 def test_no_soil_beyond_the_tables():

@@ -182,6 +182,14 @@ def test_binary_bursts_lose_no_sentence(size, form):
     assert not (whole and parser.tally.total)
 
 
+def test_silence_ends_an_incomplete_binary_message():
+    """Its header states more bytes than follow."""
+    parser = stream()
+    assert parser.feed(b"\xb5\x62\x01\x07\x00\x0f", S) == []
+    (sample,) = parser.feed(gga(at(EPOCHS[0])), 2 * S)
+    assert isinstance(sample, FixSample)
+
+
 def ubx(name, payload):
     body = name + len(payload).to_bytes(2, "little") + payload
     return b"\xb5\x62" + body + calc_checksum(body)
