@@ -113,7 +113,7 @@ def test_section_of_a_node_in_a_namespace_is_refused_beside_a_common_one(tree: d
 def test_other_sections_and_parameters_of_ros_itself_are_passed_over() -> None:
     own = {"use_sim_time": True, "start_type_description_service": True, "qos_overrides": {"/b": {"c": 1}}}
     tree = {"node": {"ros__parameters": {"a": 1, **own}}, 5: {"b": 1}, None: {"b": 1}, "5": {"b": 1}}
-    assert node_parameters(tree, "node", "file") == {"a": 1}  # type: ignore[arg-type]
+    assert node_parameters(tree, "node", "file") == {"a": 1}
 
 
 def test_names_of_sections_for_many_nodes_are_found_beside_sections_of_any_name(tmp_path: Path) -> None:

@@ -198,10 +198,7 @@ class NmeaStream:
         self._pvt = None
         if not self._position.accept("UBX", _ACCURACY_RANK, stamp_ns, begun_ns):
             return []
-        east, north, up = stddevs
-        kind = CovarianceType.UNKNOWN if math.isnan(east) else CovarianceType.DIAGONAL_KNOWN
-        up = 2.0 * max(east, north) if math.isnan(up) else up
-        variances = (east**2, north**2, up**2) if kind is CovarianceType.DIAGONAL_KNOWN else (0.0, 0.0, 0.0)
+        variances, kind = _stated_variances(stddevs)
         latitude, longitude, altitude = place
         return [
             FixSample(stamp_ns, latitude, longitude, altitude, STATUS_OF_QUALITY[quality], variances, kind)
@@ -299,10 +296,10 @@ class NmeaStream:
     def _variances(self, gga: Gga, stamp_ns: int) -> tuple[Vector, CovarianceType]:
         """(variances east, north, up in m², their origin)."""
         if self._gst is not None and gga.quality == self._gst_quality:
-            (_, east, north, up), gst_ns = self._gst
-            if abs(stamp_ns - gst_ns) <= _GST_AGE_NS and not (math.isnan(east) or math.isnan(north)):
-                up = 2.0 * max(east, north) if math.isnan(up) else up
-                return (east**2, north**2, up**2), CovarianceType.DIAGONAL_KNOWN
+            gst, gst_ns = self._gst
+            variances, kind = _stated_variances(gst[1:])
+            if kind is CovarianceType.DIAGONAL_KNOWN and abs(stamp_ns - gst_ns) <= _GST_AGE_NS:
+                return variances, kind
         if math.isnan(gga.hdop):
             return (0.0, 0.0, 0.0), CovarianceType.UNKNOWN
         variance = (gga.hdop * self._range_error(gga)) ** 2 / 2.0
@@ -331,3 +328,12 @@ class NmeaStream:
                 return begun_ns - late_ns
             self.tally.add(RECEIVER_CLOCK, ClockEvent.NOT_UTC)
         return first_byte_ns - self._latency_ns
+
+
+def _stated_variances(stddevs: ubx.Stddevs) -> tuple[Vector, CovarianceType]:
+    """Variances of a receiver's standard deviations; a height without one is twice as uncertain."""
+    east, north, up = stddevs
+    if math.isnan(east) or math.isnan(north):
+        return (0.0, 0.0, 0.0), CovarianceType.UNKNOWN
+    up = 2.0 * max(east, north) if math.isnan(up) else up
+    return (east**2, north**2, up**2), CovarianceType.DIAGONAL_KNOWN
