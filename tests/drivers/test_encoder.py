@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_drivers.protocols.encoder import EncoderEvent, Motion, SprocketEncoder
@@ -112,10 +112,8 @@ def test_velocity_variance_is_as_stated(window):
 
 
 LONGEST_GAP = 20  # cycles; half an encoder turn takes 20.9 cycles at the maximum speed
-seeded = settings(derandomize=True, max_examples=60, deadline=None)
 
 
-@seeded
 @given(
     st.floats(-1e4, 1e4),
     st.lists(
@@ -136,7 +134,6 @@ def test_position_follows_the_truth(start, legs, window):
         assert abs(motion.velocity) <= 1.5 * MAX_SPEED + PER_COUNT / CYCLE_S
 
 
-@seeded
 @given(st.lists(st.tuples(st.integers(0, COUNTS - 1), st.integers(1, 100)), max_size=100))
 def test_any_counts_give_finite_motion(readings):
     unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, 5)

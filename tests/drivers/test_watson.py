@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 from fixtures.driver_defaults import LAYOUT
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
@@ -227,7 +227,6 @@ VALUES = st.fixed_dictionaries(
 )
 
 LABEL = st.sampled_from("IRGTirgt")
-seeded = settings(derandomize=True, max_examples=60, deadline=None)
 
 
 def cut(data, places):
@@ -235,7 +234,6 @@ def cut(data, places):
     return [data[a:b] for a, b in pairwise(edges)]
 
 
-@seeded
 @given(LABEL, VALUES)
 def test_lines_and_frames_survive_a_round_trip(label, values):
     line = decode_line(encode_line(label, values, LAYOUT)[:-1], LAYOUT)
@@ -252,7 +250,6 @@ def test_lines_and_frames_survive_a_round_trip(label, values):
 READ_INTERVAL_NS = 100_000_000  # between reads of the port
 
 
-@seeded
 @given(
     st.lists(st.tuples(st.booleans(), VALUES), max_size=8),
     st.lists(st.integers(0, 600), max_size=20),
@@ -279,7 +276,6 @@ def test_cutting_of_the_stream_changes_nothing(lines, places):
     assert not parser.tally.total
 
 
-@seeded
 @given(VALUES, st.integers(0, LAYOUT.line_length - 2), st.integers(1, 20))
 def test_line_with_lost_characters_is_never_decoded(values, start, count):
     """Only a loss that keeps every field's width could be decoded, and such a loss also removes a space."""
