@@ -87,6 +87,14 @@ def test_frames_longer_than_the_dbc_are_read_unless_unused_bits_are_zero(tmp_pat
     assert strict.tally.by_source()["TravelFlow"] == {"wrong length": 50}
 
 
+def test_frames_with_unused_bits_are_rejected_where_these_are_zero(tmp_path):
+    driver = machine(tmp_path, unseen_bus.ROLES + "frames: {Upper: {unused_bits_zero: true}}\n")
+    for change, rejected in ((b"\0", {}), (b"\1", {"unused bits are set": 20})):
+        sent = unseen_bus.frames(S, 2 * S)
+        drive(driver, [(s, i, d[:-1] + change if i == 387 | STANDARD_FLAG else d) for s, i, d in sent])
+        assert driver.tally.by_source().get("Upper", {}) == rejected
+
+
 def of_j1939(dbc):
     """The DBC with the flows as a parameter group of J1939; its source address FE stands for any address."""
     return dbc.replace("BO_ 385", f"BO_ {0x98FF0AFE}")
