@@ -5,24 +5,26 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.bag_rows import (
+from trackslip_bags.importing.bag_readings import (
     NO_JOINTS,
     OTHER_FRAME,
     READERS,
-    Row,
-    rejections,
-    sides_of,
-    values_of,
+    columns_of,
+    heading_columns,
+    joint_columns,
+    joint_names,
 )
 from trackslip_bags.importing.joints import PARTIAL, JointsByStamp
-from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
+from trackslip_bags.importing.local import LocalFrame, place_of
+from trackslip_bags.importing.mapping_topics import JOINT, NEEDS_GEOMETRY, SIDES, BagTopic
 from trackslip_bags.importing.robot_bags import LoggedMessage, RobotLog, Ros1Bags, Ros2Bag
+from trackslip_bags.importing.role_values import pose_covariance, values_of
 from trackslip_bags.importing.roles import JOINTS, ROLES
-from trackslip_bags.importing.samples import Samples, SelectedRows
+from trackslip_bags.importing.samples import Samples, SelectedRows, Values
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import absolute_name, open_bag
@@ -81,6 +83,8 @@ def _type_of(log: RobotLog, topic: BagTopic, types: Mapping[str, str]) -> str:
     if (topic.role, type_name) not in READERS:
         accepted = ", ".join(name for role, name in READERS if role == topic.role)
         raise InputError(f"{topic.where}.from: {source} is a {type_name}; accepted: {accepted}")
+    if topic.role == "sprockets" and type_name != JOINTS and topic.geometry is None:
+        raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
     return type_name
 
 
@@ -90,14 +94,13 @@ class _Collector:
     def __init__(self, log: RobotLog, topic: BagTopic, type_name: str) -> None:
         self.topic, self._type_name, self._log = topic, type_name, log
         self._read_message = READERS[topic.role, type_name]
-        self._rows: list[Row] = []
+        self._readings: list[dict[str, Any]] = []
         self._times: list[tuple[int, int]] = []  # stamp, log time
         self._frames: list[str] = []
         self._left_out: Counter[str] = Counter()
         self._unused_joints: dict[str, None] = {}  # joints of unusable messages
         self._children: set[str] = set()  # frames of transforms
-        sides = sides_of(topic) if type_name == JOINTS else ()
-        self._joints = JointsByStamp({name for side in sides for name in side.names})
+        self._joints = JointsByStamp(set(joint_names(topic) if type_name == JOINTS else ()))
 
     def add(self, message: LoggedMessage) -> None:
         """Add one message of the topic.
@@ -131,7 +134,7 @@ class _Collector:
                 self._left_out[defect] += 1
                 self._unused_joints |= dict.fromkeys(message.content.name) if defect == NO_JOINTS else {}
                 continue
-            self._rows.append(reading.row)
+            self._readings.append(reading.values)
             self._times.append((stamp_ns, message.log_time_ns))
             frame = "" if reading.header is None else str(reading.header.frame_id)
             self._frames.append(self.topic.frame or frame or ROLES[self.topic.role].frame)
@@ -141,22 +144,60 @@ class _Collector:
         topic = self.topic
         if partial := self._joints.close():
             self._left_out[PARTIAL] += partial
-        if not self._rows:
+        if not self._readings:
             raise InputError(self._no_sample_text())
         if topic.child_frame is None and len(self._children) > 1:
             raise InputError(f"{topic.where}: {topic.source} moves several frames{self._accepted_children()}")
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
-        rows = np.array(self._rows, np.float64)
-        chosen = SelectedRows(np.ones(len(rows), np.bool_))
-        for reason, rejected in rejections(rows, topic, self._type_name, local):
-            chosen.reject(rejected, reason)
+        columns, count = columns_of(self._readings), len(stamps_ns)
+        variances = {axis: spread.variances(count, {}) for axis, spread in topic.spreads.items()}
+        chosen = SelectedRows(np.ones(count, np.bool_))
+        if topic.role == "pose":
+            self._reject_poses(chosen, columns, variances, local)
         used = chosen.rows
-        values = values_of(rows[used], stamps_ns[used], topic, self._type_name, local)
+        columns = {name: column[used] for name, column in columns.items()}
+        variances = {axis: of_axis[used] for axis, of_axis in variances.items()}
+        if topic.role == "pose":
+            columns = local.with_east_north(columns)
+        elif topic.role == "heading":
+            columns = heading_columns(columns, topic)
+        elif self._type_name == JOINTS:
+            columns = joint_columns(columns, stamps_ns[used], topic)
+        values = values_of(topic.role, columns, variances, stamps_ns[used], topic.geometry)
         frames = [self._frames[k] for k in np.flatnonzero(used).tolist()]
         frames = frames if len(set(frames)) > 1 else frames[:1]
         times = stamps_ns[used], log_times_ns[used]
         left_out = self._left_out + chosen.left_out
         return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
+
+    def _reject_poses(
+        self, chosen: SelectedRows, columns: Values, variances: Values, local: LocalFrame
+    ) -> None:
+        """Leave out poses without a variance of x or y, and positions off the map.
+
+        Raises:
+            InputError: all are to be left out, or none with a heading has a variance of yaw.
+        """
+        covariance = pose_covariance(columns, variances)
+        has_variance = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
+        for k, axis in enumerate(("x", "y")):
+            chosen.reject(~has_variance[:, k], f"no variance of {axis} above 0")
+            if not chosen.rows.any():
+                raise InputError(self._no_variance_text(axis))
+        if "latitude" in columns:
+            where = f"{self.topic.where}: {self.topic.source}"
+            for reason, rejected in local.rejections(place_of(columns), chosen.rows, where):
+                chosen.reject(rejected, reason)
+            return
+        has_heading = chosen.rows & np.isfinite(columns["yaw"])
+        if has_heading.any() and not (has_heading & has_variance[:, 2]).any():
+            raise InputError(self._no_variance_text("yaw"))
+
+    def _no_variance_text(self, axis: str) -> str:
+        topic = self.topic
+        accepted = f"stddev: {{{axis}: …}}{', or position_only: true' if axis == 'yaw' else ''}"
+        fault = f"{topic.source} states no variance of {axis} that is above 0"
+        return f"{topic.where}: {fault}; accepted: {accepted}"
 
     def _accepted_children(self) -> str:
         """What is accepted as ``child_frame``; empty without transforms."""
@@ -168,7 +209,7 @@ class _Collector:
         """The reason why there is no sample."""
         topic = self.topic
         if self._unused_joints:
-            requested = [name for joints in sides_of(topic) for name in joints.names]
+            requested = joint_names(topic)
             like = next((text for name in requested if (text := did_you_mean(name, self._unused_joints))), "")
             keys = JOINT if topic.role == "swing" else " and ".join(SIDES)
             asked = ", ".join(requested) + ("" if topic.joints else f" (no {keys} in the mapping)")

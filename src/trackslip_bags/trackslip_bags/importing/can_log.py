@@ -18,8 +18,9 @@ import numpy as np
 from trackslip_bags.importing.bus_readers import BlfLog, open_asc
 from trackslip_bags.importing.log_kinds import encoding_of_mark, kind_of
 from trackslip_bags.importing.recorded_devices import CanSection
+from trackslip_bags.importing.role_values import values_of
 from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import Samples, Values
+from trackslip_bags.importing.samples import Samples
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.sources import error_line
 from trackslip_common.config_files import load_parameters
@@ -183,16 +184,11 @@ def _open_mf4(path: Path) -> Any:
 def _samples(samples: Sequence[Any], source: str) -> Samples:
     """Samples of one kind, in order of their stamps."""
     topic = _TOPICS[type(samples[0])]
-    columns = np.array([sample[1:] for sample in samples], np.float64)
+    numbers = np.array([sample[1:] for sample in samples], np.float64)
+    columns = dict(zip(samples[0]._fields[1:], numbers.T, strict=True))
+    if topic == "swing":
+        columns["angle"] = columns["position"]
     stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
-    values: Values
-    if topic == "sprockets":
-        values = {"position": columns[:, :2], "velocity": columns[:, 2:]}
-    elif topic == "swing":
-        values = {"angle": columns[:, 0]}
-    else:
-        values = dict(zip(ROLES[topic].fields, columns.T, strict=True))
-    order = np.argsort(stamps_ns, kind="stable")
-    values = {name: array[order] for name, array in values.items()}
-    times = stamps_ns[order], stamps_ns[order]
-    return Samples(topic, topic, [ROLES[topic].frame], *times, values, source=source)
+    values = values_of(topic, columns, {}, stamps_ns)
+    of_topic = Samples(topic, topic, [ROLES[topic].frame], stamps_ns, stamps_ns, values, source=source)
+    return of_topic.select(np.argsort(stamps_ns, kind="stable"))

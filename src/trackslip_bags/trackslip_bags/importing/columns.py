@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.units import NS_PER_S, UNITS, factor_to_si
 from trackslip_common.yaml_tree import check_keys, flag, number, positive_number, section, texts
@@ -67,6 +70,15 @@ class Spread:
 
     value: float | Column
     is_stddev: bool  # else a variance, or a covariance of two axes
+
+    def variances(self, count: int, numbers: Mapping[str, FloatArray]) -> FloatArray:
+        """(count,) variances, or covariances, SI; ``numbers``: (count,) of the columns of a table."""
+        if isinstance(self.value, Column):
+            own = [numbers[name] for name in self.value.names]
+            values: FloatArray = np.mean(own, axis=0) * self.value.factor
+        else:
+            values = np.full(count, self.value)
+        return np.square(values) if self.is_stddev else values
 
 
 def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, Column, Spread, TimeColumn
-from trackslip_bags.importing.csv_fields import place_of, values_of
+from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, Column, TimeColumn
 from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_table
-from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.local import LocalFrame, place_of
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
+from trackslip_bags.importing.role_values import values_of
 from trackslip_bags.importing.roles import QUATERNION, ROLES
-from trackslip_bags.importing.samples import Samples, SelectedRows, Values, yaw_of
+from trackslip_bags.importing.samples import Samples, SelectedRows, Values
 from trackslip_bags.importing.times import LIMIT_NS, is_clock_without_colons, time_text, unit_hint
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
@@ -89,15 +89,17 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     role = ROLES[topic.role]
     stamps_ns, received_ns = _stamps(table, topic, start_ns)
     columns = _columns(table, topic, stamps_ns)
-    spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
+    count = len(table.lines)
+    variances = {axis: spread.variances(count, table.numbers) for axis, spread in topic.spreads.items()}
     present = np.isfinite([columns[name] for name in role.required_fields(columns)])
     chosen = SelectedRows(present.any(axis=0) & _is_new(table, topic, columns))
     chosen.reject(~present.all(axis=0), "some cells are blank")
     chosen.reject(stamps_ns == NO_TIME, "no time")
-    for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():
-        chosen.reject(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
+    for axis in ("x", "y") if topic.role == "pose" else ():
+        chosen.reject(~(variances[axis] > 0.0), f"no standard deviation of {axis} above 0")
     if topic.role == "heading" and "qw" in columns:
-        chosen.reject(np.isnan(yaw_of(*(columns[name] for name in QUATERNION))), "holds no orientation")
+        is_zero = np.equal([columns[name] for name in QUATERNION], 0.0).all(axis=0)
+        chosen.reject(is_zero, "holds no orientation")
     if "latitude" in columns:
         chosen.reject(_is_at_origin(table, topic, columns), "latitude and longitude are 0")
     if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
@@ -112,9 +114,11 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
             f"{topic.where}: no row of {table.path} gives a message ({reasons}); accepted: some that do"
         )
     columns = {name: array[rows] for name, array in columns.items()}
-    spreads = {axis: array[rows] for axis, array in spreads.items()}
-    _check_digits(table, topic, columns, spreads)
-    values = values_of(columns, spreads, stamps_ns[rows], topic, local)
+    variances = {axis: array[rows] for axis, array in variances.items()}
+    _check_digits(table, topic, columns, variances)
+    if topic.role == "pose":
+        columns = local.with_east_north(columns)
+    values = values_of(topic.role, columns, variances, stamps_ns[rows], topic.geometry)
     times = stamps_ns[rows], received_ns[rows]
     frames = [topic.frame or role.frame]
     return Samples(topic.name, topic.role, frames, *times, values, chosen.left_out, table.path.name)
@@ -135,7 +139,7 @@ def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
         )
 
 
-def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Values) -> None:
+def _check_digits(table: Table, topic: CsvTopic, columns: Values, variances: Values) -> None:
     """Refuse positions with a rounding coarser than stated; the estimator takes such steps for motion.
 
     Raises:
@@ -148,7 +152,7 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
     for name, axis in (("x", "x"), ("y", "y"), ("latitude", "y"), ("longitude", "x")):
         if name not in columns:
             continue
-        stated = float(np.sqrt(np.median(spreads[axis])))
+        stated = float(np.sqrt(np.median(variances[axis])))
         rounding = rounding_of(metres[name] * columns[name], stated)
         if rounding > LEAST_ROUNDING_RATIO * stated:
             place = f"{table.path}: column '{topic.columns[name].names[0]}'"
@@ -236,17 +240,6 @@ def _to_si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> Fl
     if topic.role == "sprockets" and topic.geometry is not None and column is not topic.columns.get("speed"):
         scaled = scaled / topic.geometry.rolling_radius if column.quantity in ("speed", "length") else scaled
     return scaled
-
-
-def _variance(table: Table, spread: Spread) -> FloatArray:
-    """(rows,) variances, or covariances."""
-    values: FloatArray = np.full(len(table.lines), 1.0)
-    if isinstance(spread.value, Column):
-        column = spread.value
-        values = np.mean([table.numbers[name] for name in column.names], axis=0) * column.factor
-    else:
-        values = values * spread.value
-    return np.square(values) if spread.is_stddev else values
 
 
 def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, IntArray]:

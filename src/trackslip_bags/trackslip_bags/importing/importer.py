@@ -8,7 +8,7 @@ stamp. Replay thus passes it to the estimator no earlier than the robot received
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -92,11 +92,7 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
             bag.write(absolute_name(one.topic), type_name, serialize(one.message(row)), log_time_ns)
     left_out = {absolute_name(one.topic): dict(one.left_out) for one in samples if one.left_out}
     late = {absolute_name(one.topic): lateness for one in samples if (lateness := _lateness(one)) is not None}
-    used = any(
-        "latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values()
-    )
-    used = used or any(one.topic == "gnss_pose" for one in samples)
-    return Imported(bag.counts, left_out, late, local.datum if used else None, notes)
+    return Imported(bag.counts, left_out, late, local.datum if local.is_used else None, notes)
 
 
 def _read_logs(
@@ -235,12 +231,8 @@ def _without_negative_stamps(one: Samples) -> Samples:
     good = one.stamps_ns >= 0
     if good.all():
         return one
-    rows = np.flatnonzero(good)
-    frames = [one.frames[i] for i in rows.tolist()] if len(one.frames) > 1 else one.frames
-    values = {name: array[rows] for name, array in one.values.items()}
     left_out = one.left_out + Counter({_BEFORE_ZERO: int((~good).sum())})
-    times = one.stamps_ns[rows], one.log_times_ns[rows]
-    return Samples(one.topic, one.role, frames, *times, values, left_out, one.source)
+    return replace(one.select(np.flatnonzero(good)), left_out=left_out)
 
 
 def _in_log_order(samples: Sequence[Samples]) -> Iterator[tuple[int, Samples, int]]:

@@ -3,6 +3,7 @@
 """Positions on the Earth as east and north of a datum (WGS84), with the checks of the GNSS localizer."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,6 +24,7 @@ class LocalFrame:
 
     def __init__(self, datum: Datum | None) -> None:
         self.datum = datum
+        self.is_used = False
         limits = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",))
         self._reach = limits.max_distance
 
@@ -50,12 +52,14 @@ class LocalFrame:
             raise InputError(self._all_rejected_text(place, int(among.argmax()), where, reasons))
         return [(reason.value, rows) for reason, rows in reasons.items()]
 
-    def east_north(self, place: FloatArray) -> FloatArray:
-        """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum).
-
-        ``place``: positions that ``rejections`` accepts.
-        """
-        return _east_north(self._datum_of(place, ""), place)
+    def with_east_north(self, columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Columns with ``x`` and ``y``, m, of positions that ``rejections`` accepts; others as they are."""
+        if "latitude" not in columns:
+            return dict(columns)
+        place = place_of(columns)
+        x, y = _east_north(self._datum_of(place, ""), place).T
+        self.is_used = True
+        return {**columns, "x": x, "y": y}
 
     def _datum_of(self, place: FloatArray, where: str) -> Datum:
         """The datum; where none is given, the first position within reach of at least half of all."""
@@ -90,6 +94,12 @@ class LocalFrame:
             f"{where}: every position is rejected: the first, at latitude {latitude:.6f}, longitude "
             f"{longitude:.6f} deg, is {reason.value}{datum}; accepted: within {self._reach / 1e3:g} km of it"
         )
+
+
+def place_of(columns: Mapping[str, FloatArray]) -> FloatArray:
+    """(n, 3) latitude and longitude, rad, and altitude, m; nan: unknown, taken for that of the datum."""
+    unknown = np.full(len(columns["latitude"]), np.nan)
+    return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", unknown)))
 
 
 def _east_north(datum: Datum, place: FloatArray) -> FloatArray:

@@ -7,7 +7,6 @@ NAV-PVT states, or that the mapping gives. A sentence without a time (HDT, THS) 
 """
 
 import codecs
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import date
@@ -16,19 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.local import LocalFrame, place_of
 from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.recorded_devices import GnssSection
-from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import (
-    Samples,
-    SelectedRows,
-    heading_values,
-    level_quaternions,
-    without_heading,
-)
+from trackslip_bags.importing.role_values import values_of
+from trackslip_bags.importing.roles import ROLE_OF_TOPIC, ROLES
+from trackslip_bags.importing.samples import Samples, SelectedRows, Values
 from trackslip_bags.importing.times import LIMIT_NS
-from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -92,11 +85,14 @@ def read_receiver_logs(
     fixes = [one for one in samples if isinstance(one, FixSample)]
     directions = [one for one in samples if isinstance(one, HeadingSample)]
     velocities = [one for one in samples if isinstance(one, VelocitySample)]
-    all_samples = [
-        *_fix_samples(fixes, section, local, names, notes),
-        *_velocity_samples(velocities, section, names),
-        *_heading_samples(directions, section, names),
-    ]
+    all_samples = list(_fix_samples(fixes, section, local, names, notes)) if fixes else []
+    if velocities:
+        east, north, stddev = np.array([(one.east, one.north, one.stddev) for one in velocities]).T
+        columns, variances = {"east": east, "north": north}, dict.fromkeys("xy", stddev**2)
+        all_samples.append(_samples("fix_velocity", velocities, columns, variances, section, names))
+    if directions:
+        yaw, stddev = np.array([(one.yaw, one.stddev) for one in directions]).T
+        all_samples.append(_samples("heading", directions, {"yaw": yaw}, {"yaw": stddev**2}, section, names))
     if not all_samples:
         reasons = "; ".join([*notes, kinds] if POSITIONS & set(stream.kinds) else notes or [kinds])
         raise InputError(f"{section.where}: {names}: no position and no heading ({reasons})")
@@ -239,31 +235,38 @@ def _epochs(messages: Sequence[_TimedMessage]) -> tuple[list[int], list[date | N
     return [time_ns or 0 for time_ns in times], days, epochs
 
 
-def _stamps(samples: Sequence[Sample], section: GnssSection) -> IntArray:
-    stamps_ns = np.array([one.stamp_ns for one in samples], np.int64) + section.offset_ns
+def _samples(
+    topic: str,
+    readings: Sequence[Sample],
+    columns: Values,
+    variances: Values,
+    section: GnssSection,
+    source: str,
+) -> Samples:
+    """Samples of one topic; (n, …) columns and variances of its readings."""
+    role = ROLE_OF_TOPIC[topic]
+    stamps_ns = np.array([one.stamp_ns for one in readings], np.int64) + section.offset_ns
     if stamps_ns.min() < 0 or stamps_ns.max() >= LIMIT_NS:
         raise InputError(f"{section.where}: stamps outside 0 … 2^31 s; accepted: another date or time_offset")
-    return stamps_ns
+    values = values_of(role, columns, variances, stamps_ns)
+    return Samples(topic, role, [ROLES[role].frame], stamps_ns, stamps_ns, values, source=source)
 
 
 def _fix_samples(
     fixes: Sequence[FixSample], section: GnssSection, local: LocalFrame, source: str, notes: list[str]
 ) -> Iterator[Samples]:
-    if not fixes:
-        return
-    stamps_ns = _stamps(fixes, section)
-    place = np.array([(math.radians(f.latitude), math.radians(f.longitude), f.altitude) for f in fixes])
-    variances = np.array([f.variances for f in fixes])
-    covariance = np.zeros((len(fixes), 3, 3))
-    covariance[:, range(3), range(3)] = variances
-    values = {
-        "place": place,
-        "covariance": covariance,
-        "kind": np.array([float(f.covariance_type) for f in fixes]),
-        "status": np.array([float(f.status) for f in fixes]),
+    """Fixes, and the poses of those with an accuracy."""
+    latitude, longitude = np.radians([(one.latitude, one.longitude) for one in fixes]).T
+    columns = {
+        "latitude": latitude,
+        "longitude": longitude,
+        "altitude": np.array([one.altitude for one in fixes]),
+        "covariance": np.array([np.diag(one.variances) for one in fixes]),
+        "kind": np.array([float(one.covariance_type) for one in fixes]),
+        "status": np.array([float(one.status) for one in fixes]),
     }
-    yield Samples("fix", "fix", [ROLES["fix"].frame], stamps_ns, stamps_ns, values, source=source)
-    has_accuracy = np.array([f.covariance_type is not CovarianceType.UNKNOWN for f in fixes])
+    yield _samples("fix", fixes, columns, {}, section, source)
+    has_accuracy = np.array([one.covariance_type is not CovarianceType.UNKNOWN for one in fixes])
     if not has_accuracy.all():
         notes.append(
             f"{source}: {sum(~has_accuracy)} × a fix without accuracy, of which no gnss_pose is made;"
@@ -272,37 +275,9 @@ def _fix_samples(
     if not has_accuracy.any():
         return
     chosen = SelectedRows(has_accuracy)
-    for reason, rejected in local.rejections(place, has_accuracy, f"{section.where}: {source}"):
+    for reason, rejected in local.rejections(place_of(columns), has_accuracy, f"{section.where}: {source}"):
         chosen.reject(rejected, reason)
-    is_used = chosen.rows
-    east_north: FloatArray = local.east_north(place[is_used])
-    planar = np.column_stack((east_north, np.full(len(east_north), np.nan)))
-    pose_values = without_heading(planar, covariance[is_used].copy())
-    times = stamps_ns[is_used], stamps_ns[is_used]
-    yield Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, pose_values, chosen.left_out, source)
-
-
-def _velocity_samples(
-    velocities: Sequence[VelocitySample], section: GnssSection, source: str
-) -> Iterator[Samples]:
-    if not velocities:
-        return
-    stamps_ns = _stamps(velocities, section)
-    variances = np.array([(one.stddev**2, one.stddev**2) for one in velocities])
-    values = {"velocity": np.array([(one.east, one.north) for one in velocities]), "variances": variances}
-    frame = [ROLES["velocity"].frame]
-    yield Samples("fix_velocity", "velocity", frame, stamps_ns, stamps_ns, values, source=source)
-
-
-def _heading_samples(
-    headings: Sequence[HeadingSample], section: GnssSection, source: str
-) -> Iterator[Samples]:
-    if not headings:
-        return
-    stamps_ns = _stamps(headings, section)
-    yaw, stddev = np.array([(one.yaw, one.stddev) for one in headings]).T
-    covariance = np.zeros((len(yaw), 3, 3))
-    covariance[:, 2, 2] = stddev**2
-    values = heading_values(level_quaternions(yaw), covariance)
-    frame = [ROLES["heading"].frame]
-    yield Samples("heading", "heading", frame, stamps_ns, stamps_ns, values, source=source)
+    columns = local.with_east_north({name: column[chosen.rows] for name, column in columns.items()})
+    used = [one for one, is_used in zip(fixes, chosen.rows, strict=True) if is_used]
+    poses = _samples("gnss_pose", used, columns, {}, section, source)
+    yield replace(poses, left_out=chosen.left_out)

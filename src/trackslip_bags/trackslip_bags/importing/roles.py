@@ -25,8 +25,8 @@ _PRESSURE = ("pressure",)
 NUMBER = ()  # without a unit
 
 
-_RATES = tuple(f"angular_velocity_{axis}" for axis in "xyz")
-_ACCELERATIONS = tuple(f"linear_acceleration_{axis}" for axis in "xyz")
+RATES = tuple(f"angular_velocity_{axis}" for axis in "xyz")
+ACCELERATIONS = tuple(f"linear_acceleration_{axis}" for axis in "xyz")
 QUATERNION = ("qx", "qy", "qz", "qw")
 _VELOCITIES = ("left_velocity", "right_velocity")
 _POSITIONS = ("left_position", "right_position")
@@ -86,10 +86,10 @@ ROLES: Mapping[str, Role] = {
     "imu": Role(
         type_name=IMU,
         frame="imu_link",
-        fields={**dict.fromkeys(_RATES, _RATE), **dict.fromkeys(_ACCELERATIONS, _ACCELERATION)},
-        choices=((_RATES, _RATES[2:]), ((), _ACCELERATIONS)),
-        axes={**dict.fromkeys(_RATES, "angular rate"), **dict.fromkeys(_ACCELERATIONS, "acceleration")},
-        optional=(*_RATES[:2], *_ACCELERATIONS),
+        fields={**dict.fromkeys(RATES, _RATE), **dict.fromkeys(ACCELERATIONS, _ACCELERATION)},
+        choices=((RATES, RATES[2:]), ((), ACCELERATIONS)),
+        axes={**dict.fromkeys(RATES, "angular rate"), **dict.fromkeys(ACCELERATIONS, "acceleration")},
+        optional=(*RATES[:2], *ACCELERATIONS),
     ),
     "pose": Role(
         type_name=POSE,

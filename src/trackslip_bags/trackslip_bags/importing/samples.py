@@ -3,7 +3,8 @@
 """Samples of a log as arrays, and the ROS messages that are made of them.
 
     sprockets    velocity (n, 2), position (n, 2): left, right                      rad/s, rad
-    imu, heading rate, acceleration (n, 3), orientation (n, 4), each with a covariance (n, 3, 3)
+    imu, heading angular_velocity, linear_acceleration (n, 3), orientation (n, 4): x, y, z, w;
+                 of each a ..._covariance (n, 3, 3)
     swing        angle (n,)                                                         rad
     pose         pose (n, 3): x, y, yaw; covariance (n, 3, 3)                       m, m, rad
     fix          place (n, 3): latitude, longitude, altitude; covariance (n, 3, 3);
@@ -19,12 +20,11 @@ variance of an unknown heading of a pose is UNOBSERVED.
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.messages import header, make
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
@@ -49,6 +49,16 @@ class Samples:
     values: Values
     left_out: Counter[str] = field(default_factory=Counter)  # reason → count
     source: str = ""  # topic or file of origin
+
+    def select(self, rows: IntArray) -> "Samples":
+        """The samples of some rows, (m,) indices."""
+        return replace(
+            self,
+            frames=[self.frames[k] for k in rows.tolist()] if len(self.frames) > 1 else self.frames,
+            stamps_ns=self.stamps_ns[rows],
+            log_times_ns=self.log_times_ns[rows],
+            values={name: array[rows] for name, array in self.values.items()},
+        )
 
     def message(self, row: int) -> Any:
         """One sample as a message."""
@@ -79,57 +89,6 @@ class SelectedRows:
             self.rows &= ~bad
 
 
-def track_speeds(speed: FloatArray, yaw_rate: FloatArray, geometry: Geometry) -> FloatArray:
-    """(n, 2) sprocket speeds, rad/s, without slip, for speeds (n,) in m/s and yaw rates (n,) in rad/s."""
-    half_difference = yaw_rate * geometry.tread / 2.0
-    return np.column_stack((speed - half_difference, speed + half_difference)) / geometry.rolling_radius
-
-
-def rates_of_positions(positions: FloatArray, stamps_ns: IntArray) -> FloatArray:
-    """(n, 2) rad/s from (n, 2) rad: change over the time since the row before; the first as the second."""
-    if len(positions) < 2:
-        return np.zeros_like(positions)
-    steps = np.diff(stamps_ns) * 1e-9
-    with np.errstate(divide="ignore", invalid="ignore"):
-        speeds = np.diff(positions, axis=0) / steps[:, np.newaxis]
-    speeds = np.where(steps[:, np.newaxis] > 0.0, speeds, 0.0)
-    return np.concatenate((speeds[:1], speeds))
-
-
-def yaw_of(qx: FloatArray, qy: FloatArray, qz: FloatArray, qw: FloatArray) -> FloatArray:
-    """(n,) rotation about z, rad; nan where there is no rotation (all zero)."""
-    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-    return np.where(qx * qx + qy * qy + qz * qz + qw * qw > 0.0, yaw, np.nan)
-
-
-def level_quaternions(yaw: FloatArray) -> FloatArray:
-    """(n, 4) quaternions x, y, z, w of (n,) rotations about z, rad."""
-    level = np.zeros(len(yaw))
-    return np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0)))
-
-
-def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
-    """Poses (n, 3) and covariances (n, 3, 3); unknown headings get the variance UNOBSERVED."""
-    missing = ~(np.isfinite(pose[:, 2]) & np.isfinite(covariance[:, 2, 2]))
-    pose[missing, 2] = 0.0
-    covariance[missing, 2, :] = covariance[missing, :, 2] = 0.0
-    covariance[missing, 2, 2] = UNOBSERVED
-    return {"pose": pose, "covariance": covariance}
-
-
-def heading_values(turn: FloatArray, covariance: FloatArray) -> Values:
-    """Values of an Imu with orientations (n, 4) x, y, z, w only; covariances of 0: unknown."""
-    nothing, unknown = np.full((len(turn), 3), np.nan), np.zeros((len(turn), 3, 3))
-    return {
-        "rate": nothing,
-        "rate_covariance": unknown,
-        "acceleration": nothing,
-        "acceleration_covariance": unknown,
-        "orientation": turn,
-        "orientation_covariance": covariance,
-    }
-
-
 def _sprocket_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     names = [LEFT_SPROCKET, RIGHT_SPROCKET]
     is_known = np.isfinite(values["position"]).all()
@@ -138,10 +97,10 @@ def _sprocket_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 def _imu_fields(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
-    for name, key in (("angular_velocity", "rate"), ("linear_acceleration", "acceleration")):
-        vector = np.nan_to_num(values[key], nan=0.0).tolist()
+    for name in ("angular_velocity", "linear_acceleration"):
+        vector = np.nan_to_num(values[name], nan=0.0).tolist()
         fields[name] = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", vector, strict=True)))
-        fields[f"{name}_covariance"] = _imu_covariance(values[key], values[f"{key}_covariance"])
+        fields[f"{name}_covariance"] = _imu_covariance(values[name], values[f"{name}_covariance"])
     turn = values["orientation"]
     w, *rest = (turn[3], *turn[:3]) if np.isfinite(turn).all() else (1.0, 0.0, 0.0, 0.0)
     fields["orientation"] = make(
