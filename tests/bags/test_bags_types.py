@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys import get_types_from_msg
 
 from trackslip_bags import messages, types
 from trackslip_bags.definitions import installed_schema
+from trackslip_bags.metadata import ROS2MSG, Schema
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.topics import TOPICS
@@ -108,7 +108,7 @@ def test_an_unreadable_definition_is_named(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_bag_with_an_older_definition_is_read_by_its_own() -> None:
-    older = MessageDefinition(MessageDefinitionFormat.MSG, "float64 left_slip\n")
+    older = Schema(ROS2MSG, b"float64 left_slip\n")
     store = types.store_for("trackslip_msgs/msg/TrackSlip", older)
     raw = b"\x00\x01\x00\x00" + np.float64(0.5).tobytes()
     message: Any = store.deserialize_cdr(raw, "trackslip_msgs/msg/TrackSlip")
@@ -128,14 +128,13 @@ ENDLESS = {
 @pytest.mark.parametrize("defect", ENDLESS)
 def test_recursive_or_huge_definition_is_refused(defect: str) -> None:
     """Bags of a thousand bytes may contain such definitions."""
-    definition = MessageDefinition(MessageDefinitionFormat.MSG, ENDLESS[defect])
+    definition = Schema(ROS2MSG, ENDLESS[defect].encode())
     with pytest.raises(ValueError, match=r"contains itself|too large"):
         types.store_for("sensor_msgs/msg/JointState", definition)
 
 
 def test_a_bag_without_a_definition_is_read_by_that_of_this_process() -> None:
-    none = MessageDefinition(MessageDefinitionFormat.NONE, "")
-    assert types.store_for("sensor_msgs/msg/Imu", none) is types.typestore()
+    assert types.store_for("sensor_msgs/msg/Imu", Schema("", b"")) is types.typestore()
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1, 999_999_999, 1_000_000_000, 1_731_000_000_123_456_789])

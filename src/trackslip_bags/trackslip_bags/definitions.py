@@ -11,9 +11,7 @@ import os
 import re
 from pathlib import Path
 
-from mcap.well_known import SchemaEncoding
-
-from trackslip_bags.metadata import Schema
+from trackslip_bags.metadata import ROS2MSG, Schema
 
 DEFAULT_DISTRO = "jazzy"
 
@@ -50,7 +48,7 @@ def installed_schema(type_name: str) -> Schema | None:
         hashes = {str(entry["type_name"]): str(entry["hash_string"]) for entry in entries}
         first, *inner = texts.items()
         parts = [first[1], *(f"{_SEPARATOR}\nMSG: {n.replace('/msg/', '/')}\n{text}" for n, text in inner)]
-        return Schema(SchemaEncoding.ROS2, "".join(parts).encode(), hashes[type_name])
+        return Schema(ROS2MSG, "".join(parts).encode(), hashes[type_name])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

@@ -24,12 +24,15 @@ LATEST_NS = 2**63 - 1  # year 2262: rosbag2's times are signed
 _NO_START_NS = LATEST_NS  # rosbag2's starting time of an empty bag
 
 
+ROS2MSG, IDL = "ros2msg", ("ros2idl", "omgidl")  # encodings of definitions that are read
+
+
 class Schema(NamedTuple):
     """The definition of a message type as MCAP carries it."""
 
-    encoding: str  # "ros2msg" or "ros2idl"; empty if unknown
+    encoding: str  # ROS2MSG or one of IDL; empty if unknown
     data: bytes
-    type_hash: str  # RIHS01; empty if unknown
+    type_hash: str = ""  # RIHS01; empty if unknown
 
 
 @dataclass

@@ -12,10 +12,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
-from trackslip_bags.metadata import METADATA, check_metadata
+from trackslip_bags.metadata import METADATA, Schema, check_metadata
 from trackslip_bags.namespace import NamespaceView, machine_namespaces
 from trackslip_bags.sources import (
     BagMessage,
@@ -118,7 +117,8 @@ class Bag:
         """
         try:
             if type_name not in self._stores:
-                self._stores[type_name] = store_for(type_name, self._definition(type_name))
+                schemas = (info.schema for info in self.topics.values() if info.type_name == type_name)
+                self._stores[type_name] = store_for(type_name, next(schemas, Schema("", b"")))
             return self._stores[type_name]
         except InputError as error:
             raise InputError(f"bag '{self.path}': {error}") from error
@@ -136,12 +136,6 @@ class Bag:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _definition(self, type_name: str) -> MessageDefinition:
-        for info in self.topics.values():
-            if info.type_name == type_name:
-                return info.definition
-        return MessageDefinition(MessageDefinitionFormat.NONE, "")
 
 
 def open_bag(path: Path | str, namespace: str = "") -> Bag:

@@ -11,16 +11,21 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Protocol
 
-from rosbags.interfaces import MessageDefinition
+from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
 from trackslip_bags import sqlite_files, unpacking
-from trackslip_bags.metadata import MAX_TOPICS
+from trackslip_bags.metadata import IDL, MAX_TOPICS, ROS2MSG, Schema
 from trackslip_bags.recovery.salvage import DamagedFile
 
 PACKED = ".zstd"
+_ENCODINGS = {
+    MessageDefinitionFormat.NONE: "",
+    MessageDefinitionFormat.MSG: ROS2MSG,
+    MessageDefinitionFormat.IDL: IDL[0],
+}
 SUFFIXES = (".mcap", ".db3", f".mcap{PACKED}", f".db3{PACKED}")  # of the files of a bag
 
 unpacking.limit_rosbags()
@@ -42,7 +47,7 @@ class TopicInfo:
 
     type_name: str
     count: int
-    definition: MessageDefinition
+    schema: Schema
     other_types: frozenset[str] = frozenset()  # further types of the topic's messages, an error
 
 
@@ -85,10 +90,10 @@ class WholeBag:
         self.files = () if self._packed else _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
-        connections = [c for storage in _storages(self._reader) for c in storage.connections]
-        recorded = merge_topics({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in connections)
-        stated = merge_topics({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in self._reader.connections)
-        return merge_topics((recorded, stated))
+        recorded = [c for storage in _storages(self._reader) for c in storage.connections]
+        infos = [{c.topic: TopicInfo(c.msgtype, c.msgcount, _schema_of(c))} for c in recorded]
+        stated = [{c.topic: TopicInfo(c.msgtype, 0, _schema_of(c))} for c in self._reader.connections]
+        return merge_topics(infos + stated)
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         for storage in _storages(self._reader):
@@ -109,6 +114,12 @@ class WholeBag:
 
     def close(self) -> None:
         self._reader.close()
+
+
+def _schema_of(connection: Connection) -> Schema:
+    """The definition that a bag has of the type of a topic."""
+    definition = connection.msgdef
+    return Schema(_ENCODINGS[definition.format], definition.data.encode(), connection.digest)
 
 
 def _mcap_files(reader: Reader) -> tuple[Path, ...]:
@@ -145,7 +156,7 @@ class SalvagedFile:
     def topics(self) -> dict[str, TopicInfo]:
         counts = Counter(channel for _, channel, _ in self._messages)
         return merge_topics(
-            {topic.topic: TopicInfo(topic.type_name, counts[channel], topic.definition)}
+            {topic.topic: TopicInfo(topic.type_name, counts[channel], topic.schema)}
             for channel, topic in self._topics.items()
         )
 

@@ -10,14 +10,13 @@ from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import Any
 
-from mcap.well_known import SchemaEncoding
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.definitions import DEFAULT_DISTRO, msg_file, ros_distro
-from trackslip_bags.metadata import Schema
+from trackslip_bags.metadata import ROS2MSG, Schema
 from trackslip_common.errors import InputError
 from trackslip_common.layout import ANY_LENGTH, CDR_HEADER, CDR_SLACK, Field, FieldsOf
 
@@ -55,11 +54,11 @@ def known_schema(type_name: str) -> Schema:
     """
     store = ensure_type(type_name)
     text, _ = store.generate_msgdef(type_name, ros_version=2)
-    return Schema(SchemaEncoding.ROS2, text.encode(), store.hash_rihs01(type_name))
+    return Schema(ROS2MSG, text.encode(), store.hash_rihs01(type_name))
 
 
 @lru_cache(maxsize=64)  # covers several bags; rosbags compiles each store
-def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
+def store_for(type_name: str, schema: Schema) -> Typestore:
     """The store that reads ``type_name`` by a bag's definition, also of another version of the message.
 
     Without a definition in the bag it is the process' store.
@@ -69,9 +68,9 @@ def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
         TypesysError: the bag's definition cannot be parsed.
         ValueError: the definition is recursive or very large.
     """
-    if definition.format == MessageDefinitionFormat.NONE:
+    if not schema.encoding:
         return ensure_type(type_name)
-    defined = _parse(type_name, definition)
+    defined = _parse(type_name, schema)
     check_finite(defined)
     store = get_typestore(Stores.EMPTY)
     store.register(defined)
@@ -98,11 +97,12 @@ def decode(store: Typestore, raw: bytes | memoryview, type_name: str) -> Any:
     return message
 
 
-def _parse(type_name: str, definition: MessageDefinition) -> Typesdict:
+def _parse(type_name: str, schema: Schema) -> Typesdict:
     """A bag's schema → field definitions of the type and its inner types."""
-    if definition.format == MessageDefinitionFormat.MSG:
-        return get_types_from_msg(definition.data, type_name)
-    parts = definition.data.split(_IDL_SEPARATOR)
+    text = schema.data.decode()
+    if schema.encoding == ROS2MSG:
+        return get_types_from_msg(text, type_name)
+    parts = text.split(_IDL_SEPARATOR)
     texts = [part.split("\n", 1)[-1] for part in parts[1:]] or parts
     types: Typesdict = {}
     for text in texts:

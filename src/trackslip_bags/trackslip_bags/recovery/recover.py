@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import yaml
-from mcap.well_known import SchemaEncoding
-from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from trackslip_bags.metadata import METADATA, Schema
+from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import ACCEPTED, Bag, open_bag, refuse_pipes
 from trackslip_bags.recovery.salvage import MAGIC, DamagedFile, SalvagedTopic
 from trackslip_bags.sources import PACKED, TopicInfo, bag_files, begins_with
@@ -25,7 +23,6 @@ from trackslip_common.yaml_text import MAX_CHARACTERS, parse_yaml
 
 _CDR = b"\0"  # first byte of every CDR message
 _PROGRESS_STEP = 1000  # messages between two progress reports
-_ENCODINGS = {MessageDefinitionFormat.MSG: SchemaEncoding.ROS2, MessageDefinitionFormat.IDL: "ros2idl"}
 
 
 @dataclass
@@ -137,7 +134,7 @@ def _read_other_bag(bag: Bag, recovery: Recovery, advance: Callable[[float], Non
 
 def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
     """A topic as in MCAP; old bags without definitions get those known here."""
-    schema = Schema(_ENCODINGS.get(info.definition.format, ""), info.definition.data.encode(), "")
+    schema = info.schema
     if not schema.encoding:
         with suppress(InputError):  # unknown type: the bytes are kept all the same
             schema = own_schema(info.type_name)

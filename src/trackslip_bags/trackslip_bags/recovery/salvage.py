@@ -17,20 +17,14 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.well_known import MessageEncoding
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
-from trackslip_bags.metadata import LATEST_NS, MAX_TOPICS
+from trackslip_bags.metadata import IDL, LATEST_NS, MAX_TOPICS, ROS2MSG
 from trackslip_bags.metadata import Schema as KnownSchema
 from trackslip_bags.unpacking import decompress_chunk, decompress_message, is_packed
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: opcode (1), length (8)
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
-_FORMATS = {
-    "ros2msg": MessageDefinitionFormat.MSG,
-    "ros2idl": MessageDefinitionFormat.IDL,
-    "omgidl": MessageDefinitionFormat.IDL,
-}
 
 
 class SalvagedTopic(NamedTuple):
@@ -40,12 +34,6 @@ class SalvagedTopic(NamedTuple):
     type_name: str
     schema: KnownSchema
     qos_yaml: str
-
-    @property
-    def definition(self) -> MessageDefinition:
-        """The definition in the form of rosbags."""
-        kind = _FORMATS.get(self.schema.encoding, MessageDefinitionFormat.NONE)
-        return MessageDefinition(kind, self.schema.data.decode())
 
 
 class DamagedFile:
@@ -163,10 +151,9 @@ class DamagedFile:
 
 
 def _topic(channel: Channel, schema: Schema) -> SalvagedTopic:
-    is_known = schema.encoding in _FORMATS
-    data = schema.data if is_known else b""
+    is_known = schema.encoding in (ROS2MSG, *IDL)
+    encoding, data = (schema.encoding, schema.data) if is_known else ("", b"")
     data.decode()
-    encoding = schema.encoding if is_known else ""
     definition = KnownSchema(encoding, data, channel.metadata.get("topic_type_hash", ""))
     return SalvagedTopic(
         channel.topic, schema.name, definition, channel.metadata.get("offered_qos_profiles", "")
