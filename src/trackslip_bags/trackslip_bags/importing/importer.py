@@ -119,8 +119,8 @@ def _read_parts(
     of_bag = [topic for topic in topics if isinstance(topic, BagTopic)]
     of_csv = [topic for topic in topics if isinstance(topic, CsvTopic)]
     kinds = {file: _kind_of_file(file, None if of_csv else mapping.gnss) for file in files}
-    of_can = _matching_files(kinds, LogKind.CAN, mapping.can)
-    of_gnss = _matching_files(kinds, LogKind.GNSS, mapping.gnss)
+    of_can = _files_of(kinds, LogKind.CAN, mapping.can, "a CAN bus (candump, ASC, BLF, TRC, MF4)")
+    of_gnss = _files_of(kinds, LogKind.GNSS, mapping.gnss, "a GNSS receiver (NMEA, UBX)")
     rest = [file for file in files if file not in of_can and file not in of_gnss]
     if of_bag:
         if rest or not bags:
@@ -131,10 +131,8 @@ def _read_parts(
     elif bags:
         raise InputError(f"{bags[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")
     if mapping.can is not None:
-        _require_files(of_can, mapping.can, "log of a CAN bus (candump, ASC, BLF, TRC, MF4)", kinds)
         yield read_can_logs(of_can, mapping.can, mapping.vehicle)
     if mapping.gnss is not None:
-        _require_files(of_gnss, mapping.gnss, "log of a GNSS receiver (NMEA, UBX)", kinds)
         yield read_receiver_logs(of_gnss, mapping.gnss, local)
     if of_csv:
         yield read_csv_logs(rest, of_csv, mapping.start_ns, local)
@@ -168,28 +166,20 @@ def _kind_of_file(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
     return kind, description
 
 
-def _matching_files(kinds: _FileKinds, kind: LogKind, section: CanSection | GnssSection | None) -> list[Path]:
-    """Files of a kind, whose names the section accepts."""
+def _files_of(
+    kinds: _FileKinds, kind: LogKind, section: CanSection | GnssSection | None, device: str
+) -> list[Path]:
+    """Files of a kind whose names the section accepts; none without a section, else one or more."""
     if section is None:
         return []
-    return [
-        file
-        for file, (file_kind, _) in kinds.items()
-        if file_kind is kind and fnmatch(file.name, section.file)
-    ]
-
-
-def _require_files(
-    files: Sequence[Path], section: CanSection | GnssSection, kind: str, kinds: _FileKinds
-) -> None:
+    files = [file for file, (own, _) in kinds.items() if own is kind and fnmatch(file.name, section.file)]
     if not files:
-        there = "; ".join(
-            f"{file.name}: a {description}" for file, (_, description) in list(kinds.items())[:_MAX_NAMED]
-        )
+        there = "; ".join(f"{file.name}: a {words}" for file, (_, words) in list(kinds.items())[:_MAX_NAMED])
         raise InputError(
-            f"{section.where}: no {kind} named '{section.file}' among the logs ({there or 'none given'}); "
-            "accepted: one or more"
+            f"{section.where}: no log of {device} named '{section.file}' among the logs "
+            f"({there or 'none given'}); accepted: one or more"
         )
+    return files
 
 
 def _log_files(path: Path) -> list[Path]:
