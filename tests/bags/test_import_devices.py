@@ -227,38 +227,6 @@ def test_sentences_without_any_time_are_refused_with_their_kinds(tmp_path: Path)
         imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
 
 
-UNREAD = {  # content → its description, as a regular expression
-    b"": "file without a byte",
-    bytes(range(256)) * 20: "file of binary bytes",  # a wrong line rate
-    b"\xfe\xf8\xe0a" * 500: "file of binary bytes",
-    b"t,gz\n1,2\n": "table",
-    b"MDF     3.30    " + bytes(200): "MDF before version 4",
-    b"  can0  181   [4]  10 27 F0 D8\n" * 9: "candump -L",
-    b" (1790000000.1)  can0  181   [4]  10 27 F0 D8\n" * 9: "candump -L",
-    b" (2026-09-21 12:00:00.000000)  can0  181   [2]  10 27\n" * 9: "candump -L",
-    b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,00000181,false,Rx,0,2,1,2\n": "CAN bus .*candump -L",
-    b"***BUSMASTER Ver 3.2.2***\n": "CAN bus .*candump -L",
-    b"t18121027\rt18121028\r": "CAN bus .*candump -L",
-    b" 0    00000181         2   16   39      0.020000 R\n": "CAN bus .*candump -L",
-    b"#BESTPOSA,COM1,0,55.0,FINESTEERING,2200,1.0,0,b1f6,1;SOL_COMPUTED,48.1*abcdef12\r\n" * 40: "NovAtel",
-    (b"$@" + bytes(range(60))) * 40: "SBF",
-    bytes.fromhex("d300133ed7d30202980edeef34b4bd62ac0941986f33360b98") * 40: "RTCM",
-    gga(Position(0, quality=4)).hex(" ").encode() * 40: "hex",
-    gga(Position(0, quality=4))[1:] * 40: r"without their \$",
-}
-
-
-@pytest.mark.parametrize("content", UNREAD, ids=UNREAD.values())
-@pytest.mark.parametrize("section", ["can", "gnss"])
-def test_a_file_that_no_part_of_the_mapping_reads_is_named(
-    tmp_path: Path, content: bytes, section: str
-) -> None:
-    (tmp_path / "x.log").write_bytes(content)
-    with pytest.raises(InputError, match=rf"x\.log: an? .*{UNREAD[content]}") as caught:
-        imported(tmp_path, [tmp_path / "x.log"], **{section: {}})
-    assert "\n" not in str(caught.value)
-
-
 def test_ubx_is_read_with_its_date(tmp_path: Path) -> None:
     fields = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
     log = b""
