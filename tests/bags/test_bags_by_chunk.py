@@ -106,26 +106,23 @@ def stretches_of(ns: int) -> Iterator[None]:
         yield
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
-@given(recordings, topic_sets, st.integers(1, 30))
-def test_whole_files(recorded: Recorded, topics: set[str], stretch_ns: int) -> None:
+spans = st.one_of(st.just(()), st.tuples(st.integers(0, 20), st.integers(0, 20)))
+
+
+@settings(max_examples=100)
+@given(recordings, topic_sets, spans, st.integers(1, 30))
+def test_whole_files_and_parts_of_them(
+    recorded: Recorded, topics: set[str], span: tuple[int, ...], stretch_ns: int
+) -> None:
     with written(recorded) as path, open_bag(path) as bag, stretches_of(stretch_ns):
-        assert at_once(bag, topics) == one_by_one(bag, topics)
+        assert at_once(bag, topics, *span) == one_by_one(bag, topics, *span)
         if recorded.index_types is IndexType.ALL and recorded.messages:
             types = dict.fromkeys(TOPICS, TEXT)
             by_chunk = chunks._stretches_by_chunk(bag.files, types, bag.start_ns, bag.end_ns + 1)
             assert sum(len(stretch.topics) for stretch in by_chunk) == len(recorded.messages)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
-@given(recordings, st.integers(0, 20), st.integers(0, 20), st.integers(1, 30))
-def test_a_part_of_a_file(recorded: Recorded, start: int, stop: int, stretch_ns: int) -> None:
-    with written(recorded) as path, open_bag(path) as bag, stretches_of(stretch_ns):
-        span = (start, stop)
-        assert at_once(bag, set(TOPICS), *span) == one_by_one(bag, set(TOPICS), *span)
-
-
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=80)
 @given(recordings, topic_sets, st.floats(0.0, 1.0), st.integers(0, 255))
 def test_cut_and_damaged_files(recorded: Recorded, topics: set[str], at: float, value: int) -> None:
     """Files are truncated at a place or have another value there; both ways give the same error."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from fixtures.made_bags import IMU, MS, TEXT, imu, summary_of, text
+from fixtures.made_bags import IMU, MS, TEXT, imu, summary_of, text, write_imu
 from fixtures.patience import PATIENCE
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
@@ -45,10 +45,7 @@ def test_bytes_pass_unchanged_with_both_times(tmp_path: Path) -> None:
 
 
 def test_chunks_are_compressed_checked_and_short(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as bag:
-        for i in range(500):
-            bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS)
-    chunks = summary_of(bag.file).chunk_indexes
+    chunks = summary_of(write_imu(tmp_path / "bag", 500) / "bag_0.mcap").chunk_indexes
     assert len(chunks) == 10
     for chunk in chunks:
         assert chunk.compression == "zstd"

@@ -12,16 +12,14 @@ from typing import Any
 
 import pytest
 import zstandard
-from fixtures.made_bags import IMU, MS, TEXT, damage_chunk, imu
+from fixtures.made_bags import IMU, MS, TEXT, damage_chunk, imu, write_foreign, write_imu
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from trackslip_bags.qos import offered_qos
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
-from trackslip_bags.types import typestore
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_tools.cli.main import main
@@ -56,12 +54,10 @@ def cut(path: Path, share: float) -> None:
 
 
 def contents(path: Path) -> list[bytes]:
-    """The IMU messages of a complete bag, by three readers that check it."""
+    """The IMU messages of a complete bag, by two readers that check it."""
     with open_bag(path) as bag:
         assert bag.damage == ""
         ours = [m.raw for m in bag.messages(["/imu"])]
-    with AnyReader([path]) as reader:
-        assert [raw for connection, _, raw in reader.messages() if connection.topic == "/imu"] == ours
     theirs = []
     for file in sorted(path.glob("*.mcap")):
         with file.open("rb") as stream:
@@ -70,7 +66,7 @@ def contents(path: Path) -> list[bytes]:
     return ours
 
 
-@pytest.mark.parametrize("share", [0.12, 0.3, 0.5, 0.7, 0.9, 0.99])
+@pytest.mark.parametrize("share", [0.12, 0.5, 0.99])
 def test_cut_bag_is_recovered_up_to_its_last_whole_chunk(
     damaged: Path, tmp_path: Path, share: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,9 +112,7 @@ def test_damaged_chunk_loses_only_its_own_messages(
 
 
 def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", split_duration=1.0) as bag:
-        for i in range(COUNT):
-            bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS)
+    write_imu(tmp_path / "bag", COUNT, split_duration=1.0)
     last = tmp_path / "bag" / "bag_3.mcap"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
     (tmp_path / "bag" / "metadata.yaml").unlink()
@@ -166,19 +160,14 @@ def test_a_recorder_killed_before_its_first_chunk_leaves_an_empty_bag(tmp_path: 
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
-@pytest.mark.parametrize("mode", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
+@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.FILE])
 @pytest.mark.parametrize("with_metadata", [True, False])
 def test_bags_of_ros2_bag_are_read_and_recovered(
-    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode | None, with_metadata: bool
+    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode, with_metadata: bool
 ) -> None:
     """A recorder that was killed records nowhere that messages or files are compressed."""
-    writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
-    if mode is not None:
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer as bag:
-        connection = bag.add_connection("/imu", IMU, typestore=typestore())
-        for i in range(20):
-            bag.write(connection, i * 10 * MS, imu(i * 10 * MS))
+    sent = [imu(k * 10 * MS) for k in range(20)]
+    write_foreign(tmp_path / "bag", (("/imu", IMU, k, raw) for k, raw in enumerate(sent)), storage, mode)
     if not with_metadata:
         (tmp_path / "bag" / "metadata.yaml").unlink()
     paths = [tmp_path / "bag"]
@@ -186,9 +175,9 @@ def test_bags_of_ros2_bag_are_read_and_recovered(
         paths += [file for file in paths[0].iterdir() if file.suffix != ".yaml"]
     for path in paths:
         with open_bag(path) as opened:
-            assert [message.raw for message in opened.messages()] == [imu(i * 10 * MS) for i in range(20)]
+            assert [message.raw for message in opened.messages()] == sent
     assert recover(tmp_path / "bag", tmp_path / "out").messages == 20
-    assert contents(tmp_path / "out") == [imu(i * 10 * MS) for i in range(20)]
+    assert contents(tmp_path / "out") == sent
 
 
 def test_compressed_files_before_a_cut_one_are_recovered(whole: Path, tmp_path: Path) -> None:
@@ -204,9 +193,7 @@ def test_compressed_files_before_a_cut_one_are_recovered(whole: Path, tmp_path: 
 def test_message_that_is_not_cdr_is_dropped_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/imu", IMU, typestore=typestore())
-        writer.write(connection, 0, b"no CDR")
+    write_foreign(tmp_path / "bag", [("/imu", IMU, 0, b"no CDR")])
     (tmp_path / "bag" / "metadata.yaml").unlink()
     assert main(["recover", str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == ExitCode.FAILED
     assert "lost: 1 messages that are not CDR" in capsys.readouterr().out
@@ -260,7 +247,7 @@ def test_a_full_disk_leaves_no_half_recovery(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(16))
 def test_random_damage_never_makes_a_bad_bag(whole: Path, tmp_path: Path, seed: int) -> None:
     """Truncated, overwritten, doubled or partly removed: all recovered messages were in the bag, in order."""
     random_ = random.Random(seed)
@@ -279,6 +266,5 @@ def test_random_damage_never_makes_a_bad_bag(whole: Path, tmp_path: Path, seed: 
     (tmp_path / "bag_0.mcap").write_bytes(bytes(data))
     recover(tmp_path / "bag_0.mcap", tmp_path / "out")
     recovered = contents(tmp_path / "out")
-    number_of = {imu(i * 10 * MS): i for i in range(COUNT)}
-    numbers = [number_of[raw] for raw in recovered]
-    assert numbers == sorted(set(numbers))
+    sent = iter(imu(i * 10 * MS) for i in range(COUNT))
+    assert all(raw in sent for raw in recovered)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from fixtures.made_bags import write_foreign
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import Bag, open_bag
@@ -178,15 +179,8 @@ def test_a_recorded_bag_is_read_chunk_by_chunk(tmp_path: Path, monkeypatch: pyte
 
 
 def _by_rosbags(storage: StoragePlugin, mode: CompressionMode) -> Callable[[Path], Any]:
-    def write_(path: Path) -> None:
-        writer = Writer(path, version=9, storage_plugin=storage)
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-        with writer:
-            connection = writer.add_connection("/sprockets", JOINTS, typestore=ensure_type(JOINTS))
-            for k in range(20):
-                writer.write(connection, 1000 + k, serialize(joints(k)))
-
-    return write_
+    messages = [("/sprockets", JOINTS, 1000 + k, serialize(joints(k))) for k in range(20)]
+    return lambda path: write_foreign(path, messages, storage, mode)
 
 
 def _message_by_message(path: Path) -> None:
