@@ -31,8 +31,11 @@ def recording(path: Path, files: int = 1, library: str = LIBRARY) -> Path:
     return path
 
 
-def test_a_recording_is_recognised_by_the_content_of_its_files(tmp_path: Path) -> None:
-    assert is_recording(recording(tmp_path / "bag", 2))
+def test_a_recording_is_recognised_also_after_a_kill_during_closing(tmp_path: Path) -> None:
+    path = recording(tmp_path / "bag", 2)
+    assert is_recording(path)
+    (path / "metadata.yaml").rename(path / ".trackslip-0123456789abcdef.new")
+    assert is_recording(path)
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "other_0.mcap", "bag_x.mcap", "bag_7.mcap"])
@@ -119,9 +122,3 @@ def test_link_planted_in_the_place_of_the_metadata_is_not_followed(tmp_path: Pat
             (tmp_path / "bag" / name).symlink_to(victim)
     assert victim.read_text(encoding="utf-8") == "of another user"
     assert not (tmp_path / "bag" / "metadata.yaml").is_symlink()
-
-
-def test_recording_is_recognised_after_a_kill_during_closing(tmp_path: Path) -> None:
-    path = recording(tmp_path / "bag")
-    (path / "metadata.yaml").rename(path / ".trackslip-0123456789abcdef.new")
-    assert is_recording(path)

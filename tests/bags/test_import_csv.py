@@ -5,7 +5,7 @@
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -230,13 +230,6 @@ def test_dates_with_slashes_need_a_unit_that_states_their_order(cell: str, unit:
         time_ns([cell], TimeColumn(("t",), ("iso8601",)))
 
 
-def test_a_date_without_a_zone_has_that_of_the_mapping(tmp_path: Path) -> None:
-    time = {"column": "t", "unit": "iso8601", "zone": "-02:30"}
-    topic = {"time": time, **WHEELS}
-    _, messages = imported(tmp_path, "t,l,r\n2026-11-20T12:00:00,1,2\n", {"sprockets": topic})
-    assert stamp_ns_of(messages["sprockets"][0]) == TIMES["2026-11-20T14:30:00Z"]
-
-
 @given(st.integers(0, 2**31 * 10**9 - 1), st.sampled_from(["s", "ms", "us", "ns"]))
 def test_epochs_of_any_unit_are_exact(stamp_ns: int, unit: str) -> None:
     digits = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
@@ -263,62 +256,6 @@ def test_no_cell_is_worse_than_a_wrong_time(cell: str, unit: str) -> None:
     assert abs(time) < 2**63
 
 
-HEADS = {
-    "a mark": "\ufefft,l,r\n1,2,3\n",
-    "comments": "# a log\n#\n\nt,l,r\n# began\n1,2,3\n",
-    "names in a comment": "# made by hand\n# t, l, r\n1, 2, 3\n",
-    "units": "t,l,r\n[s],[rad/s],[rad/s]\n1,2,3\n",
-    "semicolons": "t;l;r\n1;2;3\n",
-    "tabs": "t\tl\tr\n1\t2\t3\n",
-    "pipes": "t|l|r\n1|2|3\n",
-    "quotes": '"t","l","r"\n"1","2","3"\n',
-    "windows": "t,l,r\r\n1,2,3\r\n\r\n",
-    "no end": "t,l,r\n1,2,3",
-    "spaces": "t , l, r\n 1 , 2 , 3\n",
-    "blanks behind": "t,l,r,,\n1,2,3,,\n",
-    "blanks between": "t l r\n1 2  3\n",
-    "blanks before": "  t   l r\n  1   2 3\n",
-    "a spreadsheet's separator": "sep=;\nt;l;r\n1;2;3\n",
-    "text before the names": "Logger X v2.3\nVehicle: digger 7\n\nt,l,r\n1,2,3\n",
-    "signs": "t,l,r\n+1,+2.0,+3E0\n",
-    "a quoted comma": 't,"a, b",l,r\n1,"x, y",2,3\n',
-    "cut off": "t,l,r\n1,2,3\n2,2",
-}
-
-
-@pytest.mark.parametrize("habit", HEADS)
-def test_habits_of_those_who_write_logs(tmp_path: Path, habit: str) -> None:
-    result, messages = imported(tmp_path, HEADS[habit], {"sprockets": WHEELS})
-    (only,) = messages["sprockets"]
-    assert (stamp_ns_of(only), list(only.velocity)) == (10**9, [2.0, 3.0])
-    assert bool(result.notes) == (habit in ("units", "cut off"))
-
-
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "cp1252"])
-def test_tables_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
-    (tmp_path / "log.csv").write_bytes("t,l,r,°\n1,2,3,4\n".encode(encoding))
-    topics = {"sprockets": WHEELS, "swing": {"angle": {"column": "°", "unit": "deg"}}}
-    result, _ = import_logs(tmp_path, tmp_path / "log.csv", time=T, topics=topics)
-    assert result.counts == {"/sprockets": 1, "/swing": 1}
-    assert any("cp1252" in note for note in result.notes) == (encoding == "cp1252")
-
-
-DIALECTS = {
-    "no names": ("1,x,2,3\n", {"names": ["t", "a", "l", "r"]}),
-    "decimal commas": ("t;l;r\n1,0;2,0;3,0\n", {"decimal": "comma"}),
-    "decimal commas, names": ("1,0\t2,0\t3,0\n", {"decimal": "comma", "names": ["t", "l", "r"]}),
-    "another delimiter": ("t;a;l;r\n1;x,y,z,q,w;2;3\n", {"delimiter": ";"}),
-}
-
-
-@pytest.mark.parametrize("habit", DIALECTS)
-def test_a_mapping_states_how_a_table_is_written(tmp_path: Path, habit: str) -> None:
-    log, dialect = DIALECTS[habit]
-    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, csv=dialect)
-    (only,) = messages["sprockets"]
-    assert (stamp_ns_of(only), list(only.velocity)) == (10**9, [2.0, 3.0])
-
-
 def test_trajectories_of_tum_are_read(tmp_path: Path) -> None:
     log = "# timestamp tx ty tz qx qy qz qw\n1.5 3.0 4.0 0.0 0.0 0.0 0.0 1.0\n"
     log += "2.5 3.1 4.0 0 0 0 0.7071068 0.7071068\n3.5 3.2 4.0 0 0 0 0 0\n"
@@ -333,32 +270,10 @@ def test_trajectories_of_tum_are_read(tmp_path: Path) -> None:
     assert second.pose.pose.orientation.z == pytest.approx(math.sqrt(0.5))
 
 
-TWO_TIMES = {
-    "secs,ns,l,r\n1795185000,250000000,2,3\n": {"column": ["secs", "ns"], "unit": ["s", "ns"]},
-    "date,time,l,r\n2026-11-20,14:30:00.25,2,3\n": {"column": ["date", "time"], "unit": "iso8601"},
-}
-
-
-@pytest.mark.parametrize("log", TWO_TIMES)
-def test_times_in_two_columns_are_exact(tmp_path: Path, log: str) -> None:
-    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=TWO_TIMES[log])
-    assert stamp_ns_of(messages["sprockets"][0]) == TIMES["2026-11-20 14:30:00.25"]
-
-
 def test_times_that_lost_their_digits_are_refused_with_their_count(tmp_path: Path) -> None:
     log = "t,l,r\n" + "1.73234e+09,2,3\n" * 60
     with pytest.raises(InputError, match=r"column 't': 60 rows at one time, 1732340000 s"):
         imported(tmp_path, log, {"sprockets": WHEELS})
-
-
-def test_day_numbers_of_a_spreadsheet_become_dates(tmp_path: Path) -> None:
-    """45981.5 is 2025-11-20, 12:00."""
-    log = "t,l,r\n45981.5,1,1\n45981.5000001,1,1\n"
-    time = {"column": "t", "unit": "d"}
-    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time, start=-2209161600)
-    stamps = [stamp_ns_of(message) for message in messages["sprockets"]]
-    assert np.datetime64(stamps[0], "ns") == np.datetime64("2025-11-20T12:00")
-    assert stamps[1] - stamps[0] == 8_640_000
 
 
 def test_rows_that_share_a_time_are_counted(tmp_path: Path) -> None:
@@ -407,21 +322,6 @@ def test_words_for_no_value_leave_a_row_out(tmp_path: Path) -> None:
     assert result.left_out == {"/sprockets": {"some cells are blank": len(words)}}
 
 
-@pytest.mark.parametrize("behind", ["", '"a,b"'])
-def test_rows_may_end_in_a_delimiter_that_the_header_has_not(tmp_path: Path, behind: str) -> None:
-    rows = "".join(f"{k},2,,{behind},3,\n" if behind else f"{k},2,,,3,\n" for k in range(1, 4))
-    _, messages = imported(tmp_path, f"t,l,x,y,r\n{rows}", {"sprockets": WHEELS})
-    assert [list(m.velocity) for m in messages["sprockets"]] == [[2.0, 3.0]] * 3
-
-
-@pytest.mark.parametrize(("zeros", "last"), [(2, ""), (5000, "4,2"), (1 << 21, "")])
-def test_zero_bytes_behind_the_last_row_are_noted(tmp_path: Path, zeros: int, last: str) -> None:
-    log = "t,l,r\n1,2,3\n2,2,3\n3,2,3\n" + last + "\0" * zeros
-    result, messages = imported(tmp_path, log, {"sprockets": WHEELS})
-    assert len(messages["sprockets"]) == 3
-    assert any("zero bytes" in note for note in result.notes)
-
-
 @pytest.mark.parametrize(
     ("times", "unit", "message"),
     [
@@ -444,14 +344,6 @@ def test_wrong_times_are_shown_to_the_digit_that_differs(
         imported(tmp_path, log, {"sprockets": WHEELS}, time={"column": "t", "unit": unit})
 
 
-def test_times_of_day_go_on_after_midnight(tmp_path: Path) -> None:
-    log = "t,l,r\n23:59:59.9,1,1\n00:00:00.15,1,1\n0:00:01,1,1\n"
-    time = {"column": "t", "unit": "hh:mm:ss"}
-    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time)
-    stamps = [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]]
-    assert stamps == pytest.approx([86399.9, 86400.15, 86401.0])
-
-
 def test_times_of_day_without_colons_are_no_seconds(tmp_path: Path) -> None:
     rows = [f"{k // 60}{k % 60:02d}{s:02d}.5,1,1" for k in (1439, 0, 598, 599, 600) for s in range(60)]
     log = "\n".join(("t,l,r", *rows))
@@ -462,3 +354,90 @@ def test_times_of_day_without_colons_are_no_seconds(tmp_path: Path) -> None:
     stamps = [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]]
     assert stamps[60] - stamps[59] == 1.0
     assert stamps[-1] - stamps[0] == pytest.approx(10 * 3600 + 119.0)
+
+
+class Written(NamedTuple):
+    """A table with one row that is used: at 1 s, 2 and 3 rad/s."""
+
+    content: str
+    csv: dict[str, Any] | None = None
+    note: str = ""
+    encoding: str = "utf-8"
+
+
+TABLES = {
+    "a mark": Written("\ufefft,l,r\n1,2,3\n"),
+    "comments": Written("# a log\n#\n\nt,l,r\n# began\n1,2,3\n"),
+    "names in a comment": Written("# made by hand\n# t, l, r\n1, 2, 3\n"),
+    "units": Written("t,l,r\n[s],[rad/s],[rad/s]\n1,2,3\n", note="line 2 is taken for units"),
+    "semicolons": Written("t;l;r\n1;2;3\n"),
+    "tabs": Written("t\tl\tr\n1\t2\t3\n"),
+    "pipes": Written("t|l|r\n1|2|3\n"),
+    "quotes": Written('"t","l","r"\n"1","2","3"\n'),
+    "windows": Written("t,l,r\r\n1,2,3\r\n\r\n"),
+    "no end": Written("t,l,r\n1,2,3"),
+    "spaces": Written("t , l, r\n 1 , 2 , 3\n"),
+    "blanks behind": Written("t,l,r,,\n1,2,3,,\n"),
+    "a delimiter behind": Written("t,l,x,y,r\n1,2,,,3,\n"),
+    "a quoted comma before a delimiter behind": Written('t,l,x,y,r\n1,2,,"a,b",3,\n'),
+    "blanks between": Written("t l r\n1 2  3\n"),
+    "blanks before": Written("  t   l r\n  1   2 3\n"),
+    "a spreadsheet's separator": Written("sep=;\nt;l;r\n1;2;3\n"),
+    "text before the names": Written("Logger X v2.3\nVehicle: digger 7\n\nt,l,r\n1,2,3\n"),
+    "signs": Written("t,l,r\n+1,+2.0,+3E0\n"),
+    "a quoted comma": Written('t,"a, b",l,r\n1,"x, y",2,3\n'),
+    "cut off": Written("t,l,r\n1,2,3\n2,2", note="line 3, the last, is cut off and left out"),
+    "zeros behind": Written("t,l,r\n1,2,3\n" + "\0" * 2, note="ends in zero bytes"),
+    "zeros after a cut": Written("t,l,r\n1,2,3\n4,2" + "\0" * (1 << 21), note="ends in zero bytes"),
+    "utf-16": Written("t,l,r,°\n1,2,3,4\n", encoding="utf-16"),
+    "utf-16-le": Written("t,l,r,°\n1,2,3,4\n", encoding="utf-16-le"),
+    "utf-16-be": Written("t,l,r,°\n1,2,3,4\n", encoding="utf-16-be"),
+    "cp1252": Written("t,l,r,°\n1,2,3,4\n", encoding="cp1252", note="not UTF-8; read as cp1252"),
+    "no names": Written("1,x,2,3\n", {"names": ["t", "a", "l", "r"]}),
+    "decimal commas": Written("t;l;r\n1,0;2,0;3,0\n", {"decimal": "comma"}),
+    "decimal commas, names": Written("1,0\t2,0\t3,0\n", {"decimal": "comma", "names": ["t", "l", "r"]}),
+    "another delimiter": Written("t;a;l;r\n1;x,y,z,q,w;2;3\n", {"delimiter": ";"}),
+}
+
+
+@pytest.mark.parametrize("habit", TABLES)
+def test_habits_of_those_who_write_logs(tmp_path: Path, habit: str) -> None:
+    content, csv, note, encoding = TABLES[habit]
+    (tmp_path / "log.csv").write_bytes(content.encode(encoding))
+    sections = {"time": T, "topics": {"sprockets": WHEELS}, "csv": csv or {}}
+    result, messages = import_logs(tmp_path, tmp_path / "log.csv", **sections)
+    (only,) = messages["sprockets"]
+    assert (stamp_ns_of(only), list(only.velocity)) == (10**9, [2.0, 3.0])
+    assert any(note in noted for noted in result.notes) if note else not result.notes
+
+
+STAMPED = {  # header and rows of times → mapping of the time, stamps
+    ("secs,ns", "1795185000,250000000"): (
+        {"time": {"column": ["secs", "ns"], "unit": ["s", "ns"]}},
+        [TIMES["2026-11-20 14:30:00.25"]],
+    ),
+    ("date,time", "2026-11-20,14:30:00.25"): (
+        {"time": {"column": ["date", "time"], "unit": "iso8601"}},
+        [TIMES["2026-11-20 14:30:00.25"]],
+    ),
+    ("t", "2026-11-20T12:00:00"): (
+        {"time": {"column": "t", "unit": "iso8601", "zone": "-02:30"}},
+        [TIMES["2026-11-20T14:30:00Z"]],
+    ),
+    ("t", "45981.5", "45981.5000001"): (  # days of a spreadsheet: 2025-11-20, 12:00
+        {"time": {"column": "t", "unit": "d"}, "start": -2209161600},
+        [1_763_640_000_000_000_000, 1_763_640_000_008_640_000],
+    ),
+    ("t", "23:59:59.9", "00:00:00.15", "0:00:01"): (
+        {"time": {"column": "t", "unit": "hh:mm:ss"}},
+        [86_399_900_000_000, 86_400_150_000_000, 86_401_000_000_000],
+    ),
+}
+
+
+@pytest.mark.parametrize("lines", STAMPED)
+def test_times_of_other_columns_are_exact(tmp_path: Path, lines: tuple[str, ...]) -> None:
+    mapping, stamps = STAMPED[lines]
+    log = "".join((f"{lines[0]},l,r\n", *(f"{row},2,3\n" for row in lines[1:])))
+    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, **mapping)
+    assert [stamp_ns_of(message) for message in messages["sprockets"]] == stamps

@@ -107,7 +107,7 @@ def joint_columns(columns: Values, stamps_ns: IntArray, topic: BagTopic) -> Valu
     for key, side in sides_of(topic).items():
         end = begin + len(side.names)
         for what, joints in (("velocity", speeds), ("position", angles)):
-            of_sides[f"{key}_{what}"] = sum(joints[:, begin:end].T) / len(side.names) * side.ratio
+            of_sides[f"{key}_{what}"] = np.mean(joints[:, begin:end], axis=1) * side.ratio
         begin = end
     return of_sides if topic.role == "sprockets" else {"angle": of_sides[f"{JOINT}_position"]}
 
