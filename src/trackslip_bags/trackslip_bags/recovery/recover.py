@@ -6,11 +6,10 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import yaml
+from mcap.records import Message
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from trackslip_bags.metadata import METADATA
@@ -37,21 +36,6 @@ class Recovery:
     problems: list[str] = field(default_factory=list)  # descriptions, one per damaged file
 
 
-class _RecoveredMessage(NamedTuple):
-    """One complete message."""
-
-    topic: SalvagedTopic
-    log_time_ns: int
-    publish_time_ns: int
-    data: bytes
-
-
-# Messages of one file, then all its topics, also empty ones.
-RecoveredItems = Iterator[_RecoveredMessage | SalvagedTopic]
-# Reads one file; calls its argument with each share read.
-ReadPart = Callable[[Callable[[float], None]], RecoveredItems]
-
-
 def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda _: None) -> Recovery:
     """Write the readable part of the bag at ``path`` to a new bag; ``path`` stays unchanged.
 
@@ -63,73 +47,92 @@ def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda 
     Raises:
         InputError: there is no bag at ``path``, or ``output`` exists or cannot be written.
     """
-    recovery = Recovery(stated=_stated_count(path))
-    parts = _part_readers(path, recovery)
-
-    def advance_in_part(share: float) -> None:
-        advance(share / len(parts))
-
-    bag = BagWriter(output)
-    try:
-        with bag:
-            for k, part in enumerate(parts):
-                if k > 0:
-                    bag.split()
-                _copy(part(advance_in_part), bag, recovery)
-    except BaseException:
-        shutil.rmtree(output, ignore_errors=True)  # a partial recovery would look complete
-        raise
-    return recovery
-
-
-def _part_readers(path: Path, recovery: Recovery) -> list[ReadPart]:
-    """One reading function per MCAP file; a single one for other bags."""
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
     files = bag_files(path)
     mcap_files = [file for file in files if begins_with(file, MAGIC)]
-    if mcap_files and not any(file.suffix == PACKED for file in files):
-        return [partial(_read_mcap, file, recovery) for file in mcap_files]
-    return [partial(_read_other_bag, open_bag(path), recovery)]
-
-
-def _read_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None]) -> RecoveredItems:
-    file = DamagedFile(path)
-    problem, reported = "", 0.0
+    is_mcap = mcap_files and not any(file.suffix == PACKED for file in files)
+    other = None if is_mcap else open_bag(path)
+    bag = BagWriter(output)
+    copy = _Copy(bag, Recovery(stated=_stated_count(path)))
     try:
-        for message in file.messages():
+        with bag:
+            if other is not None:
+                copy.add_other_bag(other, advance)
+            for k, file in enumerate(mcap_files if other is None else ()):
+                if k > 0:
+                    bag.split()
+                copy.add_mcap(file, lambda share: advance(share / len(mcap_files)))
+    except BaseException:
+        shutil.rmtree(output, ignore_errors=True)  # a partial recovery would look complete
+        raise
+    return copy.recovery
+
+
+class _Copy:
+    """A new bag, and the counts of what is copied to it."""
+
+    def __init__(self, bag: BagWriter, recovery: Recovery) -> None:
+        self._bag, self.recovery = bag, recovery
+
+    def add_mcap(self, path: Path, advance: Callable[[float], None]) -> None:
+        """Copy the complete messages of an MCAP file, and all its topics, also empty ones."""
+        file, recovery = DamagedFile(path), self.recovery
+        reported = 0.0
+        unreadable: list[str] = []
+        for message in _readable_messages(file, unreadable):
             if file.share_read > reported:  # chunk by chunk
                 advance(file.share_read - reported)
                 reported = file.share_read
             topic = file.topics[message.channel_id]
-            yield _RecoveredMessage(topic, message.log_time, message.publish_time, message.data)
-    except OSError as error:  # a bad disk: earlier messages are kept
-        problem = error.strerror or "unreadable"
-    advance(1.0 - reported)
-    yield from file.topics.values()
-    recovery.truncated_files += file.is_truncated
-    recovery.lost_bytes += file.lost_bytes
-    if problem or file.problem:
-        recovery.problems.append(f"{path.name}: {problem or file.problem}")
+            self._write(topic, message.data, message.log_time, message.publish_time)
+        advance(1.0 - reported)
+        for topic in file.topics.values():
+            self._add_topic(topic)
+        recovery.truncated_files += file.is_truncated
+        recovery.lost_bytes += file.lost_bytes
+        if problem := "".join(unreadable) or file.problem:
+            recovery.problems.append(f"{path.name}: {problem}")
+
+    def add_other_bag(self, bag: Bag, advance: Callable[[float], None]) -> None:
+        """Copy a bag of SQLite files, which SQLite repairs when it opens them, or of compressed files."""
+        topics = {name: _topic(name, info) for name, info in bag.topics.items()}
+        if bag.damage:
+            self.recovery.problems.append(bag.damage)
+        with bag:
+            try:
+                for k, message in enumerate(bag.messages()):
+                    if k > 0 and k % _PROGRESS_STEP == 0:
+                        advance(_PROGRESS_STEP / bag.message_count)
+                    time_ns = message.log_time_ns
+                    self._write(topics[message.topic], message.raw, time_ns, time_ns)
+            except InputError as error:
+                self.recovery.problems.append(str(error))
+        for topic in topics.values():
+            self._add_topic(topic)
+
+    def _add_topic(self, topic: SalvagedTopic) -> None:
+        if topic.topic not in self._bag.topics:
+            self._bag.add_topic(topic.topic, topic.type_name, _current_qos(topic.qos_yaml), topic.schema)
+
+    def _write(self, topic: SalvagedTopic, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Write a message; one that is no CDR, or of another type than its topic, is rejected."""
+        self._add_topic(topic)
+        has_type = self._bag.topics[topic.topic].type_name == topic.type_name
+        if not has_type or not data.startswith(_CDR):
+            self.recovery.rejected += 1
+            return
+        self._bag.write(topic.topic, topic.type_name, data, log_time_ns, publish_time_ns)
+        self.recovery.messages += 1
 
 
-def _read_other_bag(bag: Bag, recovery: Recovery, advance: Callable[[float], None]) -> RecoveredItems:
-    """Messages of SQLite files, which SQLite repairs when it opens them, or of compressed files."""
-    topics = {name: _topic(name, info) for name, info in bag.topics.items()}
-    if bag.damage:
-        recovery.problems.append(bag.damage)
-    with bag:
-        try:
-            for k, message in enumerate(bag.messages()):
-                if k > 0 and k % _PROGRESS_STEP == 0:
-                    advance(_PROGRESS_STEP / bag.message_count)
-                yield _RecoveredMessage(
-                    topics[message.topic], message.log_time_ns, message.log_time_ns, message.raw
-                )
-        except InputError as error:
-            recovery.problems.append(str(error))
-    yield from topics.values()
+def _readable_messages(file: DamagedFile, unreadable: list[str]) -> Iterator[Message]:
+    """The messages up to an error of the disk, whose reason ``unreadable`` gets."""
+    try:
+        yield from file.messages()
+    except OSError as error:
+        unreadable.append(error.strerror or "unreadable")
 
 
 def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
@@ -139,27 +142,6 @@ def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
         with suppress(InputError):  # unknown type: the bytes are kept all the same
             schema = own_schema(info.type_name)
     return SalvagedTopic(name, info.type_name, schema, "")
-
-
-def _copy(part: RecoveredItems, bag: BagWriter, recovery: Recovery) -> None:
-    for item in part:
-        topic = item.topic if isinstance(item, _RecoveredMessage) else item
-        try:
-            if topic.topic not in bag.topics:
-                bag.add_topic(topic.topic, topic.type_name, _current_qos(topic.qos_yaml), topic.schema)
-            if isinstance(item, _RecoveredMessage):
-                _write(item, bag, recovery)
-        except InputError:  # the topic exists with another type
-            recovery.rejected += isinstance(item, _RecoveredMessage)
-
-
-def _write(message: _RecoveredMessage, bag: BagWriter, recovery: Recovery) -> None:
-    if not message.data.startswith(_CDR):
-        recovery.rejected += 1
-        return
-    topic = message.topic
-    bag.write(topic.topic, topic.type_name, message.data, message.log_time_ns, message.publish_time_ns)
-    recovery.messages += 1
 
 
 def _stated_count(path: Path) -> int | None:
