@@ -82,22 +82,9 @@ def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
     result, messages = import_messages(tmp_path, sent, {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, -0.05, -0.1])
+    with pytest.raises(InputError, match=r"no joints swing \(no joint in .*accepted: cab, boom"):
+        import_topics(tmp_path, tmp_path / "log", {"swing": {"from": "/joint_states"}})
     assert result.left_out["/swing"] == {"has none of the joints": 1, "has no finite values": 1}
-
-
-def test_swing_with_missing_joint_lists_available_joints(tmp_path: Path) -> None:
-    log = write_bag(tmp_path / "log", [("/joint_states", joints(0.0, ["swing_joint"], [0.5], []))])
-    with pytest.raises(InputError, match=r"no joints swing \(no joint in .*accepted: swing_joint"):
-        import_topics(tmp_path, log, {"swing": {"from": "/joint_states"}})
-    with pytest.raises(InputError, match=r"unknown key 'left'.*joint"):
-        import_topics(tmp_path, log, {"swing": {"from": "/joint_states", "left": "a"}})
-
-
-def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
-    swing = {"angle": {"column": "a", "unit": "deg", "origin": 10.0}}
-    _, messages = import_csv(tmp_path, "t,a\n0,10\n1,55\n", {"swing": swing})
-    angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
-    assert angles == pytest.approx([0.0, math.pi / 4.0])
 
 
 @pytest.mark.parametrize(
@@ -115,12 +102,6 @@ def test_the_convention_of_a_heading_is_stated(tmp_path: Path, keys: dict[str, A
     topics = {name: {"role": "heading", "from": f"/{name}", **keys} for name in ("q", "imu")}
     _, messages = import_messages(tmp_path, sent, topics)
     assert [imported_yaw for imported_yaw, _ in headings(messages)] == pytest.approx([yaw, yaw])
-
-
-def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
-    topics = {"compass": {"role": "heading", "from": "/q", "convention": "ned"}}
-    with pytest.raises(InputError, match="convention: 'ned' is not accepted; accepted: enu, compass"):
-        import_messages(tmp_path, [("/q", quaternion(0.0, NORTH))], topics)
 
 
 def wheels(apart_s: float) -> list[tuple[str, Any]]:

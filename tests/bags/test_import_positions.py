@@ -3,6 +3,7 @@
 """Positions off the map, without a standard deviation or too coarse for it, in CSV logs and bags."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_estimation.gnss.localizer import Reason
 from trackslip_estimation.gnss.parameters import NODE
+from trackslip_estimation.slip.measurements import UNOBSERVED
 
 SITE = (-33.889, 151.193)
 NEAR = [(SITE[0] + 1e-5 * k, SITE[1]) for k in range(8)]  # 1.1 m apart
@@ -46,21 +48,25 @@ def import_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     return run
 
 
-def test_datum_in_another_hemisphere_is_refused(import_places: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("datum", "text"),
+    [
+        (WRONG_SIGN, f"{Reason.HEMISPHERE.value} (33.889000, 151.193000); accepted: within 100 km of it"),
+        ({"latitude": -35.5, "longitude": 151.193}, "is too far from the datum (-35.5"),
+        ({"latitude": 89.5, "longitude": 0.0}, "89.5, 0 is out of range; accepted: latitude in -89 … 89"),
+    ],
+)
+def test_datum_far_from_the_log_is_refused(
+    import_places: Any, tmp_path: Path, datum: dict[str, float], text: str
+) -> None:
     """One sign of the datum is wrong: the import fails and states both positions."""
     with pytest.raises(InputError) as caught:
-        import_places(NEAR, datum=WRONG_SIGN)
-    text = str(caught.value)
-    assert "the first, at latitude -33.889000, longitude 151.193000 deg, is " in text
-    assert f"{Reason.HEMISPHERE.value} (33.889000, 151.193000)" in text
-    assert "accepted: within 100 km of it" in text
-    assert "\n" not in text
+        import_places(NEAR, datum=datum)
+    assert text in str(caught.value)
+    if datum["latitude"] < 89.0:
+        assert "the first, at latitude -33.889000, longitude 151.193000 deg, is " in str(caught.value)
+    assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_log_too_far_from_the_datum_is_refused(import_places: Any) -> None:
-    with pytest.raises(InputError, match=r"is too far from the datum \(-35\.5"):
-        import_places(NEAR, datum={"latitude": -35.5, "longitude": 151.193})
 
 
 def test_wild_positions_are_left_out_and_counted(import_places: Any) -> None:
@@ -86,34 +92,30 @@ def test_positions_that_have_nothing_in_common_give_no_datum(import_places: Any)
         import_places([(10.0 * k, 20.0) for k in range(1, 7)])
 
 
-def test_a_datum_at_a_pole_is_refused(import_places: Any) -> None:
-    with pytest.raises(InputError, match=r"datum: 89\.5, 0 is out of range; accepted: latitude in -89 … 89"):
-        import_places(NEAR, datum={"latitude": 89.5, "longitude": 0.0})
-
-
-def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
-    places = [NEAR[0], (-91.0, 151.0), *NEAR[1:]]
-    result, messages = import_fixes(tmp_path, [fix(0.2 * k, *at) for k, at in enumerate(places)])
-    assert result.left_out["/gnss_pose"] == {Reason.OUT_OF_RANGE.value: 1}
-    assert len(messages) == len(NEAR)
-
-
-def test_fix_without_covariance_does_not_refuse_the_bag(tmp_path: Path) -> None:
-    """Such a fix is left out and counted, like such a row of a CSV log."""
+def test_fixes_of_a_bag_without_place_or_covariance_are_left_out(tmp_path: Path) -> None:
     fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
     fixes[5].position_covariance[4] = math.nan
+    fixes[6].latitude = -91.0
     result, messages = import_fixes(tmp_path, fixes)
-    assert result.left_out["/gnss_pose"] == {"no variance of x above 0": 1, "no variance of y above 0": 1}
-    assert len(messages) == len(NEAR) - 2
+    left_out = {"no variance of x above 0": 1, "no variance of y above 0": 1, Reason.OUT_OF_RANGE.value: 1}
+    assert result.left_out["/gnss_pose"] == left_out
+    assert len(messages) == len(NEAR) - 3
     assert messages[0].pose.covariance[0] == pytest.approx(4e-4)
 
 
 def test_bag_of_fixes_without_covariance_needs_a_stddev(tmp_path: Path) -> None:
+    """That of the mapping is the covariance of fixes, and of poses, in any order of its entries."""
     log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at, kind=0)) for k, at in enumerate(NEAR)))
     with pytest.raises(InputError, match=r"/fix states no variance of x that is above 0; accepted: stddev"):
         import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
-    _, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix", **STDDEV}})
-    assert len(messages) == len(NEAR)
+    stated = {"from": "/fix", "covariance": {"xy": -1e-4, "x": 4e-4, "y": 9e-4}}
+    _, messages = import_topics(tmp_path, log, {"fix": stated, "gnss_pose": stated})
+    fixes, poses = messages[: len(NEAR)], messages[len(NEAR) :]
+    assert len(poses) == len(NEAR)
+    expected = [[4e-4, -1e-4], [-1e-4, 9e-4]]
+    np.testing.assert_allclose(poses[0].pose.covariance.reshape(6, 6)[:2, :2], expected)
+    np.testing.assert_allclose(fixes[0].position_covariance.reshape(3, 3)[:2, :2], expected)
+    assert (fixes[0].position_covariance_type, fixes[0].position_covariance[8]) == (3, UNOBSERVED)
 
 
 def at(k: int) -> tuple[float, float]:
@@ -121,37 +123,23 @@ def at(k: int) -> tuple[float, float]:
     return SITE[0] + 2e-6 * k, SITE[1] + 2.7e-6 * k + 3e-6 * math.sin(k)
 
 
-def of_digits(digits: int) -> list[str]:
-    """Rows of the drive with ``digits`` digits behind the decimal point."""
-    return [f"{k},{at(k)[0]:.{digits}f},{at(k)[1]:.{digits}f}" for k in range(60)]
-
-
-def of_32_bits() -> list[str]:
-    return [f"{k},{np.float32(at(k)[0])!s},{np.float32(at(k)[1])!s}" for k in range(60)]
-
-
-@pytest.mark.parametrize("rows", [of_digits(5), of_32_bits()], ids=["five digits", "32 bit floats"])
-def test_positions_coarser_than_their_stddev_are_refused(rows: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("form", "is_coarse"),
+    [(lambda x: f"{x:.5f}", True), (lambda x: str(np.float32(x)), True), (lambda x: f"{x:.8f}", False)],
+    ids=["five digits", "32 bit floats", "eight digits"],
+)
+def test_positions_coarser_than_their_stddev_are_refused(
+    form: Callable[[float], str], is_coarse: bool, tmp_path: Path
+) -> None:
     """Rounded positions repeat and step; with a small stddev they are wrong by 25 m or 1.4 m."""
+    rows = [",".join((str(k), *map(form, at(k)))) for k in range(60)]
     text = "\n".join(("t,lat,lon", *rows, ""))
-    with pytest.raises(InputError, match=r"log\.csv: column 'l\w\w' is rounded by [\d.]+ m, and stddev of"):
-        import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
-    as_coarse = {"stddev": {"x": 1.0, "y": 1.0}}
-    _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **as_coarse}})
-    assert len(messages) == len(rows)
-
-
-@pytest.mark.parametrize("rows", [of_digits(8), [f"{k},{SITE[0]},{SITE[1] + 1e-5 * k}" for k in range(60)]])
-def test_positions_of_enough_digits_are_accepted(rows: list[str], tmp_path: Path) -> None:
-    """At a constant speed all differences of the positions are equal."""
-    text = "\n".join(("t,lat,lon", *rows, ""))
-    _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
-    assert len(messages) == len(rows)
-
-
-def test_a_place_of_no_latitude_is_refused_with_a_missing_value(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"9999 deg is no latitude; .*missing: 9999, or another unit"):
-        import_csv(tmp_path, "t,lat,lon\n0,9999,9999\n", {"gnss_pose": {**CSV, **STDDEV}})
+    topics = {"gnss_pose": {**CSV, **STDDEV}}
+    if is_coarse:
+        with pytest.raises(InputError, match=r"column 'l\w\w' is rounded by [\d.]+ m, and stddev of"):
+            import_csv(tmp_path, text, topics)
+        topics["gnss_pose"]["stddev"] = {"x": 1.0, "y": 1.0}
+    assert len(import_csv(tmp_path, text, topics)[1]) == len(rows)
 
 
 def held_rows(places: list[tuple[float, float]], times: int) -> list[str]:
@@ -193,6 +181,12 @@ def test_degrees_and_minutes_are_degrees(tmp_path: Path) -> None:
     assert second.pose.pose.position.y - first.pose.pose.position.y == pytest.approx(-1.109, abs=0.001)
 
 
-def test_degrees_and_minutes_that_are_declared_degrees_are_refused_with_their_unit(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"3353\.34 deg is no latitude; .*unit: ddmm\.mmmm in the mapping"):
-        import_csv(tmp_path, "t,lat,lon\n0,3353.34,15111.58\n", {"gnss_pose": {**CSV, **STDDEV}})
+@pytest.mark.parametrize(
+    ("latitude", "remedy"), [(9999, "missing: 9999, or another"), (3353.34, "ddmm.mmmm")]
+)
+def test_a_place_of_no_latitude_is_refused_with_the_remedy(
+    latitude: float, remedy: str, tmp_path: Path
+) -> None:
+    text = f"t,lat,lon\n0,{latitude},15111.58\n"
+    with pytest.raises(InputError, match=rf"line 2, column 'lat': {latitude} deg is no latitude; .*{remedy}"):
+        import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})

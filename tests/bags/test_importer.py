@@ -155,6 +155,7 @@ def test_positions_accelerations_and_hydraulics(tmp_path: Path) -> None:
         topics__imu__linear_acceleration_x={"column": "gx", "unit": "g"},
         topics__imu__linear_acceleration_y={"column": "gy", "unit": "g"},
         topics__imu__linear_acceleration_z={"column": "n", "unit": "g"},
+        topics__swing={"angle": {"column": "heading", "unit": "deg", "origin": 90.0}},
         topics__hydraulics={
             "left_pressure": {"column": "pl", "unit": "bar"},
             "right_pressure": {"column": "pr", "unit": "bar"},
@@ -164,9 +165,11 @@ def test_positions_accelerations_and_hydraulics(tmp_path: Path) -> None:
         sprockets = contents(bag, "sprockets")[0]
         imu = contents(bag, "imu/data_raw")[0]
         hydraulics = contents(bag, "hydraulics")[0]
+        swing = contents(bag, "swing")[0]
     np.testing.assert_allclose(sprockets.position, [360.0 * math.pi, -90.0])
     assert imu.linear_acceleration.z == pytest.approx(7 * 9.80665)
     assert imu.linear_acceleration_covariance[0] == 0.0
+    assert swing.position[0] == pytest.approx(-math.pi / 2.0)
     assert (hydraulics.left_pressure, hydraulics.right_pressure) == (1e6, 2e6)
     assert math.isnan(hydraulics.left_spool)
     assert math.isnan(hydraulics.supply_pressure)
@@ -182,6 +185,12 @@ BAD_MAPPINGS = {
     "gnss.role: 'poses' is not accepted, did you mean 'pose'?": changed(topics__gnss={"role": "poses"}),
     "sprockets: right_velocity is not accepted; accepted: left_velocity + right_velocity, or ": changed(
         topics__sprockets__left_velocity=None
+    ),
+    "compass.convention: 'ned' is not accepted; accepted: enu, compass": changed(
+        topics={"compass": {"role": "heading", "from": "/q", "convention": "ned"}}
+    ),
+    "swing: unknown key 'left'; accepted: from, joint, ": changed(
+        topics={"swing": {"from": "/j", "left": "a"}}
     ),
     "sprockets: unknown key 'stddev'": changed(topics__sprockets__stddev={"x": 1.0}),
     "sprockets: left_velocity and right_velocity are both of 'wl'; accepted: a column of each": changed(

@@ -11,17 +11,9 @@ from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hostile_readers import BAG, Reader, compile_replay, importing, remove, run
-from trackslip_bags.messages import make, serialize
-from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
-from trackslip_common.config_files import parameters_text
-from trackslip_common.parameters import to_flat
-from trackslip_common.vehicle_files import load_vehicle, vehicle_text
-from trackslip_estimation.slip.parameters import load_slip_parameters
+from hostile_readers import BAG, Reader, importing, run
 from trackslip_tools.cli.main import main
 
-_TEXTS = ("/slip_estimator/parameters", "/vehicle")
 _TEXTS_FOR_METADATA = (
     *(b"", bytes(4096), b"# " + b"x" * 17_000_000, b"---\n" * 5000),
     b"rosbag2_bagfile_information:\n" + b"  - x\n" * 800_000,
@@ -56,36 +48,6 @@ module std_msgs { module msg { struct Header {
 IDL: builtin_interfaces/msg/Time
 module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec; }; }; };
 """
-
-
-def carried(folder: Path) -> Reader:
-    """A bag with hostile parameters or a hostile vehicle as text."""
-    compile_replay()
-    with open_bag(BAG) as bag:
-        others = [m for m in bag.messages(None, None, bag.start_ns + 2_200_000_000) if m.topic not in _TEXTS]
-
-    def read(path: Path) -> int:
-        text = path.read_text(encoding="utf-8", errors="replace")
-        output = folder / "bag"
-        is_vehicle = "ros__parameters" not in text
-        with BagWriter(output) as bag_writer:
-            for k, m in enumerate(others):
-                if k == 0:
-                    data = serialize(make("std_msgs/msg/String", data=text))
-                    bag_writer.write(_TEXTS[is_vehicle], "std_msgs/msg/String", data, m.log_time_ns)
-                bag_writer.write(m.topic, m.type_name, m.raw, m.log_time_ns)
-        code = max(main([command, str(output)]) for command in ("info", "replay"))
-        remove(output)
-        return code
-
-    parameters = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
-    texts = (
-        "base: /etc/passwd",
-        "slip_estimator: 1",
-        "slip_estimator: {ros__parameters: {vehicle: /etc/passwd}}",
-    )
-    bombs = [b"x: " + b"y" * 2_000_000, parameters.encode() * 2, *(text.encode() for text in texts)]
-    return Reader([parameters.encode(), vehicle_text(load_vehicle()).encode()], read, bombs=bombs)
 
 
 def ros1(folder: Path) -> Reader:
@@ -161,5 +123,5 @@ def _state(kind: type, header: object) -> object:
 
 
 READERS_OF_BAGS: dict[str, Callable[[Path], Reader]] = {
-    made.__name__: made for made in (carried, ros1, metadata, definition)
+    made.__name__: made for made in (ros1, metadata, definition)
 }

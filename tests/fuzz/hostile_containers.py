@@ -79,9 +79,6 @@ def records() -> Family:
         "an array of 10^7 values": _large_array,
         "attachments": _attachments,
         "metadata records": _metadata_records,
-        "definition of itself": lambda w: _defined(w, "a/msg/B x\n" + "=" * 80 + "\nMSG: a/B\na/B y"),
-        "definition of long arrays": lambda w: _defined(w, "float64[1000000000] x"),
-        "definition of nested arrays": lambda w: _defined(w, _nested(9)),
         "definition of other fields": lambda w: _defined(w, "int32 x"),
         "definition of no fields": lambda w: _defined(w, ""),
         "definition of garbage": lambda w: _defined(w, "\x1b[2J ]] [["),
@@ -202,13 +199,6 @@ def _add_lines(
             schema = schema_of(line.type_name)
             channels[line.topic] = writer.register_channel(line.topic, encoding, schema)
         writer.add_message(channels[line.topic], line.log_ns, line.raw, line.log_ns)
-
-
-def _nested(depth: int) -> str:
-    parts = [f"a/C{k}[1000] x" if k < depth else "float64[1000] x" for k in range(depth + 1)]
-    return "a/C0[1000] x\n" + "".join(
-        "=" * 80 + f"\nMSG: a/C{k}\n{part.replace(f'C{k}[', f'C{k + 1}[')}\n" for k, part in enumerate(parts)
-    )
 
 
 def _deep(depth: int) -> str:

@@ -429,7 +429,7 @@ _OTHERS: tuple[Any, ...] = (True, None, "x", [], {}, [1.0], 10**400, "\x1b[2J", 
 
 
 def vehicles() -> Family:
-    """The vehicle of the bag with one changed value; ``hostile_bags.py`` has texts that are no vehicle."""
+    """The vehicle of the bag with one changed value; ``test_files.py`` has texts that are no vehicle."""
     text = vehicle_text(load_vehicle())
     for name, value in to_flat(load_vehicle()).items():
         for size in _SIZES if isinstance(value, float) else _OTHERS:

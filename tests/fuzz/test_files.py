@@ -14,11 +14,15 @@ from hostile_readers import LOG, MAPPING
 from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.messages import header, make, serialize
-from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.parameters import bag_parameters, bag_vehicle
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
 from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
+from trackslip_common.parameters import to_flat
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
+from trackslip_estimation.slip.parameters import load_slip_parameters
 
 Damage = tuple[float, int, bytes]  # position as a share of the file; bytes removed, bytes inserted
 
@@ -61,6 +65,25 @@ def test_bag_is_read_or_refused(suffix: str, damage: list[Damage], recording: by
             with contextlib.suppress(InputError):
                 bag.deserialize(message.raw, message.type_name)
         bag_parameters(bag)
+
+
+@of_folders
+@given(damage=damages)
+@example(damage=[(0.0, 0, b"slip_estimator: 1\n")])
+@example(damage=[(0.0, 1 << 20, b"slip_estimator: {ros__parameters: {vehicle: /etc/passwd}}")])
+@pytest.mark.parametrize("topic", ["/slip_estimator/parameters", "/vehicle"])
+def test_text_of_a_bag_is_read_or_refused(topic: str, damage: list[Damage], tmp_path: Path) -> None:
+    """Parameters or a vehicle; of any text."""
+    parameters = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
+    text = parameters if "parameters" in topic else vehicle_text(load_vehicle())
+    data = damaged(text.encode(), damage).decode("utf-8", "replace").replace("\0", "")
+    shutil.rmtree(tmp_path / "bag", ignore_errors=True)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write(topic, "std_msgs/msg/String", serialize(make("std_msgs/msg/String", data=data)), 0)
+    with open_bag(tmp_path / "bag") as opened:
+        for read in (bag_parameters, bag_vehicle):
+            with contextlib.suppress(InputError):
+                read(opened)
 
 
 @of_folders
