@@ -152,7 +152,7 @@ def test_positions_alone_give_velocities(tmp_path: Path) -> None:
 
 def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> None:
     """A minute of latitude is about a nautical mile; a receiver without a fix writes zeros."""
-    rows = ("1,48.0,11.0,4,0,0.01", "2,48.01666667,11.0,5,90,0.2", "3,0,0,0,0,9", "4,48,11.001,4,,0.01")
+    rows = ("1,48.0,11.0,4,0,0.01", "2,48.01666667,11.0,5,90,0.2", "3,0,0,0,0,9", "4,48,11.001,7,,0.01")
     log = "\n".join(("t,lat,lon,q,cog,s", *rows, ""))
     place = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
     stddev = {"x": {"column": "s", "unit": "m"}, "y": {"column": "s", "unit": "m"}}
@@ -167,7 +167,7 @@ def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> 
     }
     result, messages = imported(tmp_path, log, topics)
     fixes, poses = messages["fix"], messages["gnss_pose"]
-    assert [m.status.status for m in fixes] == [2, 2, 2]
+    assert [m.status.status for m in fixes] == [2, 2, -1]  # no fix of a kind that GGA does not have
     assert (fixes[1].latitude, fixes[1].position_covariance_type) == (pytest.approx(48.01666667), 2)
     np.testing.assert_allclose(fixes[1].position_covariance[[0, 4]], 0.04)
     assert math.isnan(fixes[0].altitude)
