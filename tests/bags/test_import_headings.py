@@ -189,3 +189,15 @@ def test_twists_of_a_bag_are_velocities(tmp_path: Path) -> None:
     assert [m.twist.covariance[0] for m in messages] == [0.04, 0.0]
     refused = {"states that it has no velocity": 1, "has no finite values": 1}
     assert result.left_out["/fix_velocity"] == refused
+
+
+def test_messages_moved_before_zero_are_left_out_and_the_others_keep_their_frames(tmp_path: Path) -> None:
+    turn = make("geometry_msgs/msg/Quaternion", w=1.0)
+    sent = [
+        ("/q", make("geometry_msgs/msg/QuaternionStamped", header=header(t * 10**9, frame), quaternion=turn))
+        for t, frame in ((1, "a"), (3, "b"), (4, "c"))
+    ]
+    topics = {"heading": {"from": "/q", "time_offset": -2.0}}
+    result, messages = import_messages(tmp_path, sent, topics)
+    assert [m.header.frame_id for m in messages] == ["b", "c"]
+    assert list(result.left_out["/heading"].values()) == [1]
