@@ -5,6 +5,7 @@
 from pathlib import Path
 
 import pytest
+from fixtures.driven_estimator import DrivenEstimator
 from fixtures.sensor_messages import pose, sprockets, stamped
 from sensor_msgs.msg import Imu
 from trackslip_msgs.msg import MeasurementReport
@@ -15,13 +16,12 @@ STEP_MS, RATE = 20, 0.4  # yaw rate, rad/s
 SPEED = RATE * 0.73 / 2.0 / 0.159  # sprocket speed of the PC05 in a pivot turn, rad/s
 
 
-class Turning:
-    """Sensor messages of a machine in a left pivot turn; its IMU is mounted upside down."""
+class Turning(DrivenEstimator):
+    """A machine in a left pivot turn; its IMU is mounted upside down."""
 
-    def __init__(self, observer):
-        self._observer, self._step = observer, 0
-        self._publishers = {t: observer.publisher(t) for t in ("sprockets", "box_pose", "imu/data_raw")}
-        self.reports = observer.subscribe("measurement_reports")
+    def __init__(self, programs, observer):
+        super().__init__(programs, observer, dict.fromkeys(("sprockets", "box_pose", "imu/data_raw")))
+        self._step = 0
 
     def drive(self, steps):
         """Publish the messages of each step after the reports of the previous one."""
@@ -29,11 +29,9 @@ class Turning:
             at_ms = self._step * STEP_MS
             imu = stamped(Imu, at_ms, "imu_link")
             imu.angular_velocity.z = -RATE
-            expected = len(self.reports) + 2
-            self._publishers["box_pose"].publish(pose(at_ms, yaw=RATE * at_ms * 1e-3))
-            self._publishers["imu/data_raw"].publish(imu)
-            self._publishers["sprockets"].publish(sprockets(at_ms, -SPEED, SPEED))
-            self._observer.wait(lambda n=expected: len(self.reports) >= n, "reports of a step")
+            self.feed("box_pose", pose(at_ms, yaw=RATE * at_ms * 1e-3))
+            self.publish("imu/data_raw", imu)
+            self.feed("sprockets", sprockets(at_ms, -SPEED, SPEED))
             self._step += 1
 
     def gyro(self):
@@ -48,15 +46,12 @@ def with_tf2(programs, tf2_environment):
 
 
 def test_an_imu_is_mounted_as_tf_static_states(with_tf2, observer):
-    turning, healths = Turning(observer), observer.healths()
-    odometry, parameters = observer.subscribe("odometry"), observer.subscribe("slip_estimator/parameters")
-    with_tf2.node("slip_estimator", sources__imu_data_raw__mounting_from_tf=True)
-    for topic in ("sprockets", "box_pose", "imu/data_raw"):
-        observer.wait_for_ends(topic, "observer", "slip_estimator")
+    turning, parameters = Turning(with_tf2, observer), observer.subscribe("slip_estimator/parameters")
+    turning.begin(sources__imu_data_raw__mounting_from_tf=True)
     turning.drive(20)
 
     def counted():
-        counts = [pair.value for h in healths for pair in h.values if pair.key == REFUSED]
+        counts = [pair.value for h in turning.healths for pair in h.values if pair.key == REFUSED]
         return counts and counts[-1] == "20"
 
     observer.wait(counted, "twenty readings without a transform")
@@ -73,7 +68,7 @@ def test_an_imu_is_mounted_as_tf_static_states(with_tf2, observer):
     observer.wait(mounted, "the first reading that is used")
     turning.drive(50)
     assert set(turning.gyro()) == {MeasurementReport.ACCEPTED}
-    assert odometry[-1].twist.twist.angular.z == pytest.approx(RATE, abs=0.02)
+    assert turning.odometry[-1].twist.twist.angular.z == pytest.approx(RATE, abs=0.02)
     assert "mounting_yaw: 1.57" in parameters[-1].data
 
     def chain():
