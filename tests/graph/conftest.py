@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.flaky(reruns=1))
 
 
-@pytest.fixture
-def domain() -> Iterator[int]:
+@contextmanager
+def free_domain() -> Iterator[int]:
     """A ROS domain that no other test and no running graph uses: locked among tests, its DDS ports free."""
     first = os.getpid() * 31 + time.monotonic_ns()
     with ExitStack() as locks:
@@ -63,6 +63,13 @@ def domain() -> Iterator[int]:
                 yield number
                 return
         pytest.fail("no ROS domain is free")
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """The domain of a test."""
+    with free_domain() as number:
+        yield number
 
 
 def _is_silent(domain: int) -> bool:
@@ -93,6 +100,17 @@ def observer(domain: int, programs: Programs) -> Iterator[Observer]:
     this = Observer(domain, programs)
     yield this
     this.close()
+
+
+@pytest.fixture(scope="module")
+def shared_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Programs, Observer]]:
+    """Programs of a module, and a node that observes them, for tests that do not disturb each other."""
+    with free_domain() as number:
+        programs = Programs(number, tmp_path_factory.mktemp("graph"))
+        observer = Observer(number, programs)
+        yield programs, observer
+        observer.close()
+        programs.kill_all()
 
 
 @pytest.fixture

@@ -64,7 +64,7 @@ RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 def test_graph_is_visible_only_to_named_peers(programs: Any, node: str, stranger: str, expected: str) -> None:
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces here")
-    code = STRANGER.format(seconds=PATIENCE if expected.startswith("seen") else 8.0)
+    code = STRANGER.format(seconds=PATIENCE if expected.startswith("seen") else 5.0)
     shell = ["unshare", "-rn", "sh", "-c", HOSTS, "sh"]
     command = [*shell, programs.path("wheel_adapter"), sys.executable, code]
     second = str(int(programs.environment["ROS_DOMAIN_ID"]) + 101)  # outside the range of other tests

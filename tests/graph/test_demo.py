@@ -47,7 +47,7 @@ def assert_ends_quietly(programs, program):
 
 
 def test_demo_leaves_numbers_report_and_bag(real_time, programs):
-    program = demo(programs, "--duration", "5")
+    program = demo(programs, "--duration", "2")
     code = program.wait()
     missed = [line for line in program.stderr.splitlines() if line.startswith("missed: ")]
     assert all("% received" in line for line in missed)  # beside other tests it may lose messages

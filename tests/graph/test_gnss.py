@@ -31,6 +31,7 @@ def machine(programs, observer, can):
         device_directory=str(devices),
         lead_in=1.0,
         scenario="turn_left",
+        mode="thesis",
         duration=600.0,
         **can,
     )

@@ -47,11 +47,18 @@ def subscribed(observer):
     return {name for name, _ in observer.node.get_subscriber_names_and_types_by_node("live", "/")}
 
 
-def test_fixes_are_drawn_beside_invalid_source_names(programs, observer):
+def test_page_follows_the_pose_sources_that_the_estimator_states(programs, observer):
+    """Fixes are drawn beside invalid names; subscriptions of removed sources are dropped."""
     port = port_of(programs.node("live", port=0))
+    observer.wait(lambda: "/box_pose" in subscribed(observer), "the node's subscriptions")
+    first = subscribed(observer)
     publisher = observer.node.create_publisher(String, PARAMETERS, latched_qos())
-    names = ["no topic at all!", "rtk/pose"]
-    publisher.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
+
+    def state(*names):
+        text = parameters_text({"pose_sources": [*names]}, "slip_estimator")
+        publisher.publish(String(data=text))
+
+    state("no topic at all!", "rtk/pose")
     poses = observer.node.create_publisher(PoseWithCovarianceStamped, "rtk/pose", 10)
     pose = PoseWithCovarianceStamped()
     pose.pose.pose.position.x, pose.pose.pose.position.y = 3.0, 4.0
@@ -61,15 +68,8 @@ def test_fixes_are_drawn_beside_invalid_source_names(programs, observer):
         return [3.0, 4.0] in fixes(port)
 
     observer.wait(drawn, "a fix on the page")
-
-
-def test_subscriptions_of_removed_sources_are_dropped(programs, observer):
-    port_of(programs.node("live", port=0))
-    observer.wait(lambda: "/box_pose" in subscribed(observer), "the node's subscriptions")
-    first = subscribed(observer)
-    publisher = observer.node.create_publisher(String, PARAMETERS, latched_qos())
-    for names in (["rtk/pose", "lidar/pose"], ["lidar/pose", "beacon/pose"], []):
-        publisher.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
+    for names in (["lidar/pose", "beacon/pose"], []):
+        state(*names)
         expected = first | {f"/{name}" for name in names}
         observer.wait(lambda expected=expected: subscribed(observer) == expected, f"{names}")
 

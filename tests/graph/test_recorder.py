@@ -309,34 +309,37 @@ def test_headings_are_recorded_by_the_type_that_is_published(programs, observer,
     assert stamps == [1, 2, 3, 4, 5]
 
 
-def test_best_effort_topic_of_a_type_that_is_not_installed_is_not_recorded(observer, tmp_path, monkeypatch):
+@pytest.fixture
+def discovered(observer, tmp_path, monkeypatch):
+    """A function that returns the recorder's subscriptions after it has found best-effort publishers."""
+
+    def discover(**types):
+        def publishers(topic):
+            kind = types.get(topic.removeprefix("/"))
+            return [SimpleNamespace(topic_type=kind, qos_profile=best_effort_qos())] if kind else []
+
+        monkeypatch.setattr(observer.node, "get_publishers_info_by_topic", publishers)
+        found = subscriptions.RawSubscriptions(observer.node, bag, re.compile(r"(?!)"), lambda *_: None)
+        found.discover()
+        return found
+
+    with BagWriter(tmp_path / "bag") as bag:
+        yield discover
+
+
+def test_best_effort_topic_of_a_type_that_is_not_installed_is_not_recorded(discovered, monkeypatch):
     def only_sensors(type_name):
         if not type_name.startswith("sensor_msgs/"):
             raise ModuleNotFoundError(f"no {type_name}")
         return message_class(type_name)
 
-    def publishers(topic):
-        return [heading] if topic == "/heading" else []
-
-    heading = SimpleNamespace(topic_type="geometry_msgs/msg/QuaternionStamped", qos_profile=best_effort_qos())
     monkeypatch.setattr(subscriptions, "message_class", only_sensors)
-    monkeypatch.setattr(observer.node, "get_publishers_info_by_topic", publishers)
-    with BagWriter(tmp_path / "bag") as bag:
-        recorded = subscriptions.RawSubscriptions(observer.node, bag, re.compile(r"(?!)"), lambda *_: None)
-        recorded.discover()
+    recorded = discovered(heading="geometry_msgs/msg/QuaternionStamped")
     assert "/heading" in recorded.not_recorded
     assert "/heading" not in recorded.publishers()
 
 
-def test_topic_of_a_best_effort_publisher_is_subscribed_with_best_effort(observer, tmp_path, monkeypatch):
-    sprockets = SimpleNamespace(topic_type="sensor_msgs/msg/JointState", qos_profile=best_effort_qos())
-
-    def publishers(topic):
-        return [sprockets] if topic == "/sprockets" else []
-
-    monkeypatch.setattr(observer.node, "get_publishers_info_by_topic", publishers)
-    with BagWriter(tmp_path / "bag") as bag:
-        recorded = subscriptions.RawSubscriptions(observer.node, bag, re.compile(r"(?!)"), lambda *_: None)
-        publisher = observer.node.create_publisher(JointState, "sprockets", best_effort_qos())
-        recorded.discover()
-        observer.wait(publisher.get_subscription_count, "a subscription that matches")
+def test_topic_of_a_best_effort_publisher_is_subscribed_with_best_effort(discovered, observer):
+    publisher = observer.node.create_publisher(JointState, "sprockets", best_effort_qos())
+    discovered(sprockets="sensor_msgs/msg/JointState")
+    observer.wait(publisher.get_subscription_count, "a subscription that matches")
