@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS, Machine, drive, parameters, with_coarse_fixes
+from fixtures.pose_errors import PoseErrors, errors_over
 
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
@@ -31,33 +32,27 @@ def biased(m: Measurement) -> Measurement:
     return replace(m, rate=m.rate + 0.03) if isinstance(m, YawRate) else m
 
 
-def run(change: Change, seed: int, stddev: float = 1.0) -> tuple[np.ndarray, np.ndarray, SlipEstimator]:
-    """Position errors, m, and their NEES after the change; the estimator at the end."""
+def run(change: Change, seed: int, stddev: float = 1.0) -> tuple[PoseErrors, SlipEstimator]:
+    """Errors after the change, and the estimator at the end."""
     recording = drive(Machine(duration=END, seed=seed, track_error=0.02))
     coarse = with_coarse_fixes(recording, stddev, 60.0, seed=seed)
     changed = [change(m) if m.stamp_ns > S + CHANGE * S else m for m in coarse]
-    estimator = SlipEstimator(parameters(**GNSS, max_sprocket_speed=8.0))
-    found = [e for _, e in estimator.process_all(changed) if e is not None]
-    found = [e for e in found if e.stamp_ns > S + CHANGE * S]
-    times = np.array([e.stamp_ns / S - 1.0 for e in found])
-    true = np.column_stack([np.interp(times, recording.t, recording.poses[:, k]) for k in (0, 1)])
-    off = np.array([e.pose[:2] for e in found]) - true
-    P = np.array([e.pose_covariance[:2, :2] for e in found])
-    return np.hypot(*off.T), np.einsum("ki,kij,kj->k", off, np.linalg.inv(P), off), estimator
+    found, estimator = errors_over(changed, recording, parameters(**GNSS, max_sprocket_speed=8.0))
+    return found.between(CHANGE), estimator
 
 
 @pytest.mark.parametrize("change", [slips, biased])
 def test_slip_or_gyro_bias_is_not_attributed_to_the_receiver(change: Change) -> None:
     """The offset of the receiver must not absorb the change."""
-    errors, nees = zip(*(run(change, seed)[:2] for seed in range(4)), strict=True)
-    assert math.sqrt(np.mean(np.square(errors))) < 3.0
-    assert np.mean(nees) < 5.0
+    runs = [run(change, seed)[0] for seed in range(4)]
+    assert math.sqrt(np.mean([found.rms**2 for found in runs])) < 3.0
+    assert np.mean([found.nees(2).mean() for found in runs]) < 5.0
 
 
 def test_slip_is_found_from_coarse_fixes_within_90_s() -> None:
     slip = []
     for seed in range(2):
-        estimator = run(slips, seed)[2]
+        estimator = run(slips, seed)[1]
         assert Event.SLIPPED in {e.event for e in estimator.read_events()}
         slip.append(estimator.window.best[estimator.window.count - 1]["mean"][COMMON_SLIP])
     assert 0.25 < np.mean(slip) < 0.55  # prior 0 ± 0.25; within 90 s
@@ -66,5 +61,5 @@ def test_slip_is_found_from_coarse_fixes_within_90_s() -> None:
 @pytest.mark.parametrize("stddev", [pytest.param(1.0, marks=pytest.mark.slow), 2.5])
 def test_wandering_receiver_causes_no_slip_or_bias_event(stddev: float) -> None:
     for seed in range(2):
-        events = {e.event for e in run(lambda m: m, seed, stddev)[2].read_events()}
+        events = {e.event for e in run(lambda m: m, seed, stddev)[1].read_events()}
         assert not events & {Event.SLIPPED, Event.BIASED}

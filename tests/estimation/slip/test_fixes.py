@@ -8,38 +8,35 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import RATE, Machine, drive, parameters
 from fixtures.filter_steps import Gaussian, state_of
+from fixtures.pose_errors import PoseErrors, errors_over
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.late_stamps import inflate_delay, log_odds_of_delay
 from trackslip_estimation.slip.models.model import FIX_DELAY
 
 STAMP_ERROR = 0.03  # s
 
 
-def delays(machine: Machine) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Estimated delay and its standard deviation, s; NEES of the position."""
+def delays(machine: Machine) -> tuple[np.ndarray, np.ndarray, PoseErrors]:
+    """Estimated delay and its standard deviation, s; errors of the poses."""
     recorded = drive(machine)
-    estimator = SlipEstimator(parameters(**{"sources.box_pose.stamp_error": STAMP_ERROR}))
-    published = [e for _, e in estimator.process_all(recorded.measurements) if e is not None]
-    errors = np.array([e.pose for e in published])[:, :2] - recorded.poses[1:, :2]
-    nees = [v @ np.linalg.solve(e.pose_covariance[:2, :2], v) for v, e in zip(errors, published, strict=True)]
-    window = estimator.window
-    states = window.best[: window.count]
+    p = parameters(**{"sources.box_pose.stamp_error": STAMP_ERROR})
+    errors, estimator = errors_over(recorded.measurements, recorded, p)
+    states = estimator.window.best[: estimator.window.count]
     found = states["mean"][:, FIX_DELAY], np.sqrt(states["covariance"][:, FIX_DELAY, FIX_DELAY])
-    return STAMP_ERROR * found[0], STAMP_ERROR * found[1], nees
+    return STAMP_ERROR * found[0], STAMP_ERROR * found[1], errors
 
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_delay_of_fixes_is_observable_while_speeds_change(late: float) -> None:
     """A manually driven machine, whose speed is never steady."""
     machine = Machine(duration=90.0, surge=0.7, track_error=0.03, fix_rate=5, fix_late=late, seed=1)
-    found, stddevs, nees = delays(machine)
+    found, stddevs, errors = delays(machine)
     assert found[-1] == pytest.approx(late, abs=3.0 * stddevs[-1])
     assert stddevs[-1] < 0.75 * STAMP_ERROR
-    assert np.mean(nees[500:]) < 2.5
+    assert errors.between(25.0).nees(2).mean() < 2.5
 
 
 @pytest.mark.parametrize("late", [0.2, 0.3])
@@ -48,9 +45,9 @@ def test_delay_of_fixes_beyond_its_prior_keeps_the_estimate_consistent(late: flo
     squares = []
     for seed in range(3):
         machine = Machine(duration=120.0, surge=0.5, track_error=0.02, fix_late=late, seed=seed)
-        found, stddevs, nees = delays(machine)
+        found, stddevs, errors = delays(machine)
         assert found[-1] == pytest.approx(late, abs=3.0 * stddevs[-1])
-        squares.append(np.mean(nees[60 * RATE :]))
+        squares.append(errors.between(60.0).nees(2).mean())
     assert np.mean(squares) < 4.0
 
 

@@ -3,12 +3,13 @@
 """Headings as a source: at the start, in the gate, in any order; and fixes with time-correlated errors."""
 
 import math
-import random
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from fixtures.pose_errors import PoseErrors, pose_errors
+from fixtures.records import assert_order_does_not_matter
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,46 +72,37 @@ def seen(machine: Machine, angle: float = 0.0, hertz: int = 10) -> tuple[Recordi
     return Recording(measurements, recorded.t, poses), measurements
 
 
-def run(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Rows (k, 4) of time, s, and published pose; covariances; outcomes of the headings by stamp."""
+def run(
+    measurements: list[Measurement], truth: Recording, p: SlipEstimatorParameters
+) -> tuple[PoseErrors, dict[int, Outcome]]:
+    """Errors of the estimates; outcomes of the headings by stamp."""
     steps = SlipEstimator(p).process_all(measurements)
-    published = [e for _, e in steps if e is not None]
-    poses = np.array([(e.stamp_ns / S - 1.0, *e.pose) for e in published])
     outcomes = {r.stamp_ns: r.outcome for r, _ in steps if r.source == SOURCE}
-    return poses, np.array([e.pose_covariance for e in published]), outcomes
-
-
-def errors(poses: np.ndarray, truth: Recording) -> np.ndarray:
-    """(k, 3) errors of x, y, heading."""
-    found = [poses[:, k + 1] - np.interp(poses[:, 0], truth.t, truth.poses[:, k]) for k in range(3)]
-    found[2] = np.angle(np.exp(1j * found[2]))
-    return np.column_stack(found)
+    return pose_errors((e for _, e in steps), truth.t, truth.poses), outcomes
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("angle", [2.0, math.pi])
 def test_start_heading_is_that_of_the_heading_source(angle: float, filter_: str) -> None:
     truth, measurements = seen(Machine(duration=20.0, seed=2), angle)
-    poses, covariances, outcomes = run(measurements, with_headings(filter=filter_))
-    found = errors(poses, truth)
-    early = poses[:, 0] > 0.5  # still at standstill
-    assert np.abs(found[early, 2]).max() < 0.015
-    assert np.hypot(found[early, 0], found[early, 1]).max() < 0.12
+    errors, outcomes = run(measurements, truth, with_headings(filter=filter_))
+    found = errors.between(0.5)  # still at standstill
+    assert np.abs(found.off[:, 2]).max() < 0.015
+    assert found.distances.max() < 0.12
     assert Outcome.GATED not in list(outcomes.values())[3:]
-    nees = [e @ np.linalg.solve(P, e) for e, P in zip(found[early], covariances[early], strict=True)]
-    assert np.mean(nees) < 6.0
+    assert found.nees(3).mean() < 6.0
 
 
 def test_heading_is_better_with_the_source_than_without() -> None:
     machine = Machine(duration=60.0, gyro_scale=1.03, track_error=0.03)
     truth, measurements = seen(machine)
-    with_source = errors(run(measurements, with_headings())[0], truth)
+    with_source, _ = run(measurements, truth, with_headings())
     fixes_only = [m for m in measurements if not isinstance(m, HeadingFix)]
     lever = {f"sources.box_pose.lever_arm_{axis}": LEVER[k] for k, axis in enumerate("xy")}
-    without = errors(run(fixes_only, parameters(**lever))[0], truth)
-    late = slice(200, None)
-    assert np.std(with_source[late, 2]) < 0.004
-    assert np.std(with_source[late, 2]) < 0.5 * np.std(without[late, 2])
+    without, _ = run(fixes_only, truth, parameters(**lever))
+    scatter, before = (np.std(found.between(10.0).off[:, 2]) for found in (with_source, without))
+    assert scatter < 0.004
+    assert scatter < 0.5 * before
 
 
 def test_a_spike_is_rejected_and_a_persistent_heading_is_accepted() -> None:
@@ -120,9 +112,9 @@ def test_a_spike_is_rejected_and_a_persistent_heading_is_accepted() -> None:
     m = spoilt[headings[150]]
     assert isinstance(m, HeadingFix)
     spoilt[headings[150]] = HeadingFix(SOURCE, m.stamp_ns, m.heading + 0.3, m.variance)
-    poses, _, outcomes = run(spoilt, with_headings())
+    found, outcomes = run(spoilt, truth, with_headings())
     assert [stamp for stamp, outcome in outcomes.items() if outcome is Outcome.GATED] == [m.stamp_ns]
-    assert np.abs(errors(poses, truth)[200:, 2]).max() < 0.025
+    assert np.abs(found.between(10.0).off[:, 2]).max() < 0.025
 
     turned = [
         HeadingFix(SOURCE, m.stamp_ns, math.remainder(m.heading + 0.3, math.tau), m.variance)
@@ -131,27 +123,15 @@ def test_a_spike_is_rejected_and_a_persistent_heading_is_accepted() -> None:
         for m in measurements
         if not (isinstance(m, PoseFix) and m.stamp_ns > 11 * S)  # fixes would contradict the headings
     ]
-    poses, _, outcomes = run(turned, with_headings(**{"sources.heading.timeout": 2.0}))
-    off = errors(poses, truth)[:, 2]
-    assert np.abs(off[poses[:, 0] < 12.0]).max() < 0.02
-    assert off[-1] == pytest.approx(0.3, abs=0.02)
+    found, outcomes = run(turned, truth, with_headings(**{"sources.heading.timeout": 2.0}))
+    assert np.abs(found.between(-1.0, 12.0).off[:, 2]).max() < 0.02
+    assert found.off[-1, 2] == pytest.approx(0.3, abs=0.02)
     rejected = [stamp for stamp, outcome in outcomes.items() if outcome is Outcome.GATED]
     assert 2.0 < (rejected[-1] - rejected[0]) / S < 25.0
 
 
 def test_order_of_arrival_does_not_matter() -> None:
-    _, measurements = seen(Machine(duration=15.0), 1.0)
-    late = random.Random(0)
-    begin = next(k for k, m in enumerate(measurements) if isinstance(m, PoseFix)) + 1
-    arrivals = sorted(measurements[begin:], key=lambda m: m.stamp_ns + late.uniform(0.0, 0.8) * S)
-    arrivals = measurements[:begin] + arrivals
-    p = with_headings()
-    in_order, shuffled = SlipEstimator(p), SlipEstimator(p)
-    in_order.process_all(measurements)
-    shuffled.process_all(arrivals)
-    first, second = in_order.estimate(), shuffled.estimate()
-    np.testing.assert_array_equal(first.pose, second.pose)
-    np.testing.assert_array_equal(first.pose_covariance, second.pose_covariance)
+    assert_order_does_not_matter(with_headings(), seen(Machine(duration=15.0), 1.0)[1])
 
 
 def test_frozen_estimate_ignores_headings() -> None:
@@ -244,12 +224,11 @@ def test_mounting_angle_of_a_pose_source_is_estimated_from_the_path() -> None:
     nees = {}
     for stddev in (0.0, 0.02):
         p = parameters(**{"sources.box_pose.use_heading": True, "sources.box_pose.yaw_offset_stddev": stddev})
-        poses, covariances, _ = run(given_, p)
-        off = errors(poses, recorded)[:, 2]
-        nees[stddev] = np.mean(off[off.size // 2 :] ** 2 / covariances[off.size // 2 :, 2, 2])
+        found = run(given_, recorded, p)[0].between(60.0)
+        nees[stddev] = found.heading_nees
     assert nees[0.0] > 5.0
     assert nees[0.02] < 3.0
-    assert np.sqrt(np.mean(off[off.size // 2 :] ** 2)) < 0.015
+    assert found.heading_rms < 0.015
 
 
 def test_one_wrong_heading_after_an_outage_is_refused() -> None:
@@ -258,6 +237,6 @@ def test_one_wrong_heading_after_an_outage_is_refused() -> None:
     outage = [m for m in measurements if not isinstance(m, HeadingFix) or not 31 * S < m.stamp_ns < 91 * S]
     back = next(k for k, m in enumerate(outage) if isinstance(m, HeadingFix) and m.stamp_ns > 90 * S)
     wrong = replace(outage[back], heading=math.remainder(outage[back].heading + math.pi / 2.0, math.tau))
-    poses, _, outcomes = run([*outage[:back], wrong, *outage[back + 1 :]], with_headings())
+    found, outcomes = run([*outage[:back], wrong, *outage[back + 1 :]], truth, with_headings())
     assert outcomes[wrong.stamp_ns] is Outcome.GATED
-    assert np.abs(errors(poses, truth)[:, 2]).max() < 0.1
+    assert np.abs(found.off[:, 2]).max() < 0.1

@@ -3,10 +3,12 @@
 """Odometry without jumps: the integral of the twist, however often fixes correct the estimate."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.changes import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -61,12 +63,7 @@ def test_time_gap_does_not_move_the_local_pose(gap_ns: int) -> None:
 
 def test_fix_far_off_moves_only_the_map_frame(drive: Callable[..., Any]) -> None:
     driven = drive([(10.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
-    moved = [
-        PoseFix(m.source, m.stamp_ns, m.pose + np.array((3.0, 1.0, 0.0)), m.covariance)
-        if isinstance(m, PoseFix) and m.stamp_ns > 5_000_000_000
-        else m
-        for m in driven
-    ]
+    moved = changed(driven, PoseFix, lambda m: replace(m, pose=m.pose + np.array((3.0, 1.0, 0.0))), 5.001)
     estimator, local = SlipEstimator(load_slip_parameters()), LocalOdometry()
     published = [e for m in moved if (e := estimator.process(m)[1]) is not None]
     located = [local.estimate_in_odom(estimate) for estimate in published]

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from fixtures.changes import changed
 from fixtures.records import assert_same_bits
 
 from trackslip_common.errors import InputError
@@ -123,14 +124,9 @@ def test_log_run_ends_in_the_state_of_the_estimator(
 
 def test_outage_gates_the_same_fixes_as_live(drive: Callable[..., Any]) -> None:
     """Displaced fixes after an outage of 3 s are rejected until several agree."""
+    outage = changed(drive(SEGMENTS).measurements, PoseFix, lambda _: None, 1.001, 4.001)
     found = in_order(
-        [
-            replace(m, pose=m.pose + np.array((2.0, 2.0, 0.0)))
-            if isinstance(m, PoseFix) and m.stamp_ns > 4 * S
-            else m
-            for m in drive(SEGMENTS).measurements
-            if not (isinstance(m, PoseFix) and 1 * S < m.stamp_ns <= 4 * S)
-        ]
+        changed(outage, PoseFix, lambda m: replace(m, pose=m.pose + np.array((2.0, 2.0, 0.0))), 4.001)
     )
     p = parameters()
     state, outcomes = ended(found, p)

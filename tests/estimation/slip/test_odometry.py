@@ -3,13 +3,15 @@
 """Odometry of a camera as increments: motion on slippery ground; jumps, gaps, stated covariances."""
 
 import math
-import random
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fixtures.changes import changed
 from fixtures.drawn_machine import GNSS, Machine, Recording, drive, parameters
+from fixtures.pose_errors import PoseErrors, pose_errors
+from fixtures.records import assert_order_does_not_matter
 from fixtures.visual_odometry import product, turned_by
 
 from trackslip_common.errors import InputError
@@ -37,12 +39,12 @@ ODOM_ORIENTATION = np.array(quaternion_from_angles(0.2, -0.4, 1.0))  # orientati
 ALONE = 40.0  # s, end of the fixes
 
 
-def with_odometry(**changed: object) -> SlipEstimatorParameters:
+def with_odometry(**values: object) -> SlipEstimatorParameters:
     levers = {f"sources.{SOURCE}.lever_arm_{axis}": value for axis, value in zip("xyz", LEVER, strict=True)}
     names = ("roll", "pitch", "yaw")
     mounted = {f"sources.{SOURCE}.mounting_{n}": v for n, v in zip(names, MOUNTING, strict=True)}
     noise = {f"sources.{SOURCE}.covariance": "declared"}
-    return parameters(**{"odometry_sources": [SOURCE], **levers, **mounted, **noise, **changed})
+    return parameters(**{"odometry_sources": [SOURCE], **levers, **mounted, **noise, **values})
 
 
 def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
@@ -77,45 +79,40 @@ def seen(
 
 def slipping(recorded: Recording, slip: float) -> list[Measurement]:
     """The measurements without fixes after ``ALONE``, when both tracks begin to slip."""
-    kept = [m for m in recorded.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > S + ALONE * S)]
-    more = 1.0 / (1.0 - slip)
-    return [
-        replace(m, left_speed=m.left_speed * more, right_speed=m.right_speed * more)
-        if isinstance(m, Sprockets) and m.stamp_ns > S + ALONE * S
-        else m
-        for m in kept
-    ]
+    more, begin = 1.0 / (1.0 - slip), 1.001 + ALONE
+    kept = changed(recorded.measurements, PoseFix, lambda _: None, begin)
+    return changed(
+        kept,
+        Sprockets,
+        lambda m: replace(m, left_speed=m.left_speed * more, right_speed=m.right_speed * more),
+        begin,
+    )
 
 
-def run(given: list[Measurement], p: SlipEstimatorParameters) -> tuple[list[Report], list]:
-    steps = SlipEstimator(p).process_all(sorted(given, key=lambda m: m.stamp_ns))
-    return [r for r, _ in steps if r.source == SOURCE], [e for _, e in steps if e is not None]
+def run(
+    given: list[Measurement], recorded: Recording, p: SlipEstimatorParameters
+) -> tuple[list[Report], PoseErrors, SlipEstimator]:
+    """Reports on the odometry, errors of the estimates, and the estimator at the end."""
+    estimator = SlipEstimator(p)
+    steps = estimator.process_all(sorted(given, key=lambda m: m.stamp_ns))
+    reports = [r for r, _ in steps if r.source == SOURCE]
+    return reports, pose_errors((e for _, e in steps), recorded.t, recorded.poses), estimator
 
 
-def errors(estimates: list, recorded: Recording, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Position errors, m, and NEES of the estimates between two times, s."""
-    chosen = [e for e in estimates if begin * S < e.stamp_ns - S < end * S]
-    stamps = np.array([(e.stamp_ns - S) / S for e in chosen])
-    true = np.stack([np.interp(stamps, recorded.t, column) for column in recorded.poses[:, :2].T], axis=1)
-    off = np.array([e.pose[:2] for e in chosen]) - true
-    nees = [e @ np.linalg.solve(f.pose_covariance[:2, :2], e) for e, f in zip(off, chosen, strict=True)]
-    return np.hypot(*off.T), np.array(nees)
-
-
-def end_and_nees(estimates: list, recorded: Recording) -> tuple[float, float]:
+def alone(found: PoseErrors) -> tuple[float, float]:
     """Position error at the end, m, and mean NEES without fixes."""
-    error, nees = errors(estimates, recorded, ALONE, math.inf)
-    return float(error[-1]), float(np.mean(nees))
+    without_fixes = found.between(ALONE)
+    return float(without_fixes.distances[-1]), float(without_fixes.nees(2).mean())
 
 
 @pytest.mark.parametrize("slip", [0.1, 0.3])
 def test_odometry_bridges_new_ground_without_fixes(slip: float) -> None:
     """The sprockets include the slip in the distance; a camera with 1 % error corrects the slip."""
     recorded = drive(Machine(duration=70.0, seed=1, track_error=0.05))
-    alone = slipping(recorded, slip)
-    blind, _ = end_and_nees(run(alone, with_odometry())[1], recorded)
-    reports, estimates = run([*alone, *seen(recorded, 1.01)], with_odometry())
-    error, nees = end_and_nees(estimates, recorded)
+    given = slipping(recorded, slip)
+    blind, _ = alone(run(given, recorded, with_odometry())[1])
+    reports, found, _ = run([*given, *seen(recorded, 1.01)], recorded, with_odometry())
+    error, nees = alone(found)
     assert blind > 10.0 * slip
     assert error < 0.4
     assert nees < 25.0
@@ -126,8 +123,7 @@ def test_odometry_scale_is_estimated_from_fixes_and_kept() -> None:
     """Without the scale, 3 % of the following 12 m would be 0.36 m."""
     recorded = drive(Machine(duration=70.0, seed=2))
     p = with_odometry(**{f"sources.{SOURCE}.drift": 0.03})
-    _, estimates = run([*slipping(recorded, 0.1), *seen(recorded, 1.03)], p)
-    error, nees = end_and_nees(estimates, recorded)
+    error, nees = alone(run([*slipping(recorded, 0.1), *seen(recorded, 1.03)], recorded, p)[1])
     assert error < 0.25
     assert nees < 12.0
 
@@ -138,13 +134,11 @@ def test_wrong_odometry_does_not_degrade_fixes(scale: float) -> None:
     nees = []
     for seed in range(2):
         recorded = drive(Machine(duration=80.0, seed=seed, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
-        given = seen(recorded, scale, seed, (30.0, 45.0))
-        running = SlipEstimator(with_odometry(**GNSS))
-        steps = running.process_all(sorted([*recorded.measurements, *given], key=lambda m: m.stamp_ns))
-        found = [e for _, e in steps if e is not None]
-        assert np.sqrt(np.mean(errors(found, recorded, 30.0, 55.0)[0] ** 2)) < 0.15
-        nees.append(np.mean(errors(found, recorded, 34.0, 55.0)[1]))  # five fixes, 2 s, detect the scale
-        happened = [e.event for e in running.read_events() if e.source == SOURCE]
+        given = [*recorded.measurements, *seen(recorded, scale, seed, (30.0, 45.0))]
+        _, found, estimator = run(given, recorded, with_odometry(**GNSS))
+        assert found.between(30.0, 55.0).rms < 0.15
+        nees.append(found.between(34.0, 55.0).nees(2).mean())  # five fixes, 2 s, detect the scale
+        happened = [e.event for e in estimator.read_events() if e.source == SOURCE]
         assert happened[0] is Event.FAILED
         assert happened[-1] is Event.RECOVERED
     assert np.mean(nees) < 5.0  # 2 if consistent
@@ -152,22 +146,14 @@ def test_wrong_odometry_does_not_degrade_fixes(scale: float) -> None:
 
 def test_correct_odometry_causes_no_event() -> None:
     recorded = drive(Machine(duration=60.0, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
-    running = SlipEstimator(with_odometry(**GNSS))
-    running.process_all(sorted([*recorded.measurements, *seen(recorded)], key=lambda m: m.stamp_ns))
-    assert not {e.event for e in running.read_events()} - {Event.OUTLIER}
+    *_, estimator = run([*recorded.measurements, *seen(recorded)], recorded, with_odometry(**GNSS))
+    assert not {e.event for e in estimator.read_events()} - {Event.OUTLIER}
 
 
 def test_order_of_arrival_does_not_matter() -> None:
     recorded = drive(Machine(duration=12.0))
-    given, late = [*recorded.measurements, *seen(recorded)], random.Random(0)
-    arrivals = sorted(given, key=lambda m: m.stamp_ns + (m.stamp_ns > 2 * S) * late.uniform(0.0, 0.8) * S)
-    ends = []
-    for order in (sorted(given, key=lambda m: m.stamp_ns), arrivals):
-        estimator = SlipEstimator(with_odometry())
-        estimator.process_all(order)
-        ends.append(estimator.estimate())
-    np.testing.assert_array_equal(ends[0].pose, ends[1].pose)
-    np.testing.assert_array_equal(ends[0].pose_covariance, ends[1].pose_covariance)
+    in_order = sorted([*recorded.measurements, *seen(recorded)], key=lambda m: m.stamp_ns)
+    assert_order_does_not_matter(with_odometry(), in_order)
 
 
 def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
@@ -182,7 +168,7 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
         for m in odometry
         if not stamps[140] <= m.stamp_ns < stamps[150]
     ]
-    reports, _ = run([*recorded.measurements, *moved], with_odometry())
+    reports, _, _ = run([*recorded.measurements, *moved], recorded, with_odometry())
     outcomes = {r.stamp_ns: r.outcome for r in reports if r.outcome is not Outcome.ACCEPTED}
     expected = {stamps[60]: Outcome.GATED, stamps[100]: Outcome.BEGUN, stamps[150]: Outcome.BEGUN}
     assert {stamp: outcome for stamp, outcome in outcomes.items() if stamp > stamps[10]} == expected

@@ -4,12 +4,12 @@
 
 import json
 import math
-import random
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.records import assert_order_does_not_matter
 from fixtures.swinging_cab import CAB, Cab, Part, record
 from hypothesis import given
 from hypothesis import strategies as st
@@ -172,14 +172,7 @@ def test_orientation_that_contradicts_gyro_and_gravity_is_gated() -> None:
 
 
 def test_the_order_of_arrival_does_not_matter() -> None:
-    measurements = drive(seconds=8.0)
-    begin, rest = measurements[:3], measurements[3:]
-    shuffler = random.Random(5)
-    late = sorted(rest, key=lambda m: m.stamp_ns + shuffler.randrange(800) * MS)
-    found, _, _ = run([*begin, *late], **REQUESTED)
-    expected, _, _ = run(measurements, **REQUESTED)
-    np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
-    np.testing.assert_array_equal(found.outputs.tilt.covariance, expected.outputs.tilt.covariance)
+    assert_order_does_not_matter(load_slip_parameters(REQUESTED), drive(seconds=8.0))
 
 
 @pytest.mark.slow

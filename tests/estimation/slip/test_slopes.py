@@ -3,12 +3,12 @@
 """The slip estimator on slopes: motion along the ground, any order, high sensors, and level ground."""
 
 import math
-import random
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.records import assert_order_does_not_matter
 
 from trackslip_common.nodes.messages import make
 from trackslip_common.units import GRAVITY
@@ -108,16 +108,7 @@ def test_position_is_inside_its_covariance_on_a_slope_that_no_imu_measures(
 
 
 def test_the_order_of_arrival_does_not_matter() -> None:
-    measurements = drive(0.8, math.radians(15.0))
-    in_order, _ = end_of(measurements)
-    begin, rest = measurements[:3], measurements[3:]
-    shuffler = random.Random(5)
-    late = sorted(rest, key=lambda m: m.stamp_ns + shuffler.randrange(800) * MS)
-    other, outcomes = end_of([*begin, *late])
-    assert Outcome.TOO_LATE not in outcomes
-    np.testing.assert_array_equal(other.pose, in_order.pose)
-    np.testing.assert_array_equal(other.outputs.tilt.tilt, in_order.outputs.tilt.tilt)
-    np.testing.assert_array_equal(other.outputs.tilt.covariance, in_order.outputs.tilt.covariance)
+    assert_order_does_not_matter(load_slip_parameters(), drive(0.8, math.radians(15.0)))
 
 
 def test_slip_on_a_slope_does_not_add_height() -> None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from fixtures.changes import changed
 
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
@@ -97,12 +98,8 @@ def test_variance_with_refused_samples_grows_as_in_silence(
     """A rejected sample must not end the silence."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (PoseFix,), 6.0, 10.0)
-    rejected = [
-        replace(m, left_speed=99.0, right_speed=99.0, positions=None)
-        if isinstance(m, Sprockets) and 6.0 * S < m.stamp_ns < 10.0 * S
-        else m
-        for m in kept
-    ]
+    too_fast = {"left_speed": 99.0, "right_speed": 99.0, "positions": None}
+    rejected = changed(kept, Sprockets, lambda m: replace(m, **too_fast), 6.001, 10.0)
     spread = []
     for found in (rejected, without(kept, (Sprockets,), 6.0, 10.0)):
         estimator = run([m for m in found if m.stamp_ns < 9.9 * S])[2]
@@ -269,12 +266,12 @@ def test_encoder_restart_at_another_position_is_counted_without_effect(
     drive: Callable[..., Any],
 ) -> None:
     driven = drive([(10.0, 2.0, 1.5, 0.05, 0.05, 0.0)])
-    jumped = [
-        replace(m, positions=(m.positions[0] + 100.0, m.positions[1] - 3.0))
-        if isinstance(m, Sprockets) and m.positions and m.stamp_ns >= 5 * S
-        else m
-        for m in driven.measurements
-    ]
+
+    def restarted(m: Sprockets) -> Sprockets:
+        assert m.positions is not None
+        return replace(m, positions=(m.positions[0] + 100.0, m.positions[1] - 3.0))
+
+    jumped = changed(driven.measurements, Sprockets, restarted, 5.0)
     outcomes, published, _ = run(jumped)
     assert outcomes.count(Outcome.JUMPED) == 1
     clean = run(driven.measurements)[1]

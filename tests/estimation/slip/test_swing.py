@@ -3,7 +3,6 @@
 """Sensors on a cab that swings: their measurements, and the motion of the undercarriage."""
 
 import math
-import random
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS
 from fixtures.filter_steps import config_of
+from fixtures.records import assert_order_does_not_matter
 from fixtures.swinging_cab import CAB, ENCODER, FIX, GYRO, Cab, Part, Recording, dig, record
 
 from trackslip_common.arrays import FloatArray
@@ -83,8 +83,7 @@ def test_sensors_below_the_cab_give_the_same_bits() -> None:
     assert not last["covariance"][UNDERCARRIAGE_SIZE:].any()
 
 
-@pytest.mark.parametrize("model", ["turning", "icr"])
-@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+@pytest.mark.parametrize(("model", "filter_"), [("turning", "ekf"), ("icr", "daf")])
 @pytest.mark.parametrize("encoder", [True, False])
 def test_slewing_does_not_turn_the_undercarriage(model: str, filter_: str, encoder: bool) -> None:
     truth = record(dig(), Cab(encoder=encoder))
@@ -202,17 +201,7 @@ def test_frozen_fixes_do_not_stop_a_swing_at_standstill() -> None:
 
 
 def test_the_order_of_arrival_does_not_matter() -> None:
-    measurements = record(dig(), Cab()).measurements
-    in_order, shuffler = SlipEstimator(of_cab()), random.Random(4)
-    in_order.process_all(measurements)
-    expected_ = in_order.estimate()
-    head = measurements[:4]
-    late = sorted(measurements[4:], key=lambda m: m.stamp_ns + shuffler.randrange(800) * 1_000_000)
-    own = SlipEstimator(of_cab())
-    assert Outcome.TOO_LATE not in [report.outcome for report, _ in own.process_all([*head, *late])]
-    found = own.estimate()
-    np.testing.assert_array_equal(found.pose, expected_.pose)
-    assert found.outputs.swing.angle == expected_.outputs.swing.angle
+    assert_order_does_not_matter(of_cab(), record(dig(), Cab()).measurements)
 
 
 def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement]:

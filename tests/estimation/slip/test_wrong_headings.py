@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS, Machine, Recording, drive, parameters
-from fixtures.pose_errors import PoseErrors, pose_errors
+from fixtures.pose_errors import PoseErrors, errors_over
 
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
@@ -82,16 +82,15 @@ class Errors(NamedTuple):
 
 
 def found_of(recorded: Recording, measurements: Sequence[Measurement], source: str) -> PoseErrors:
-    steps = SlipEstimator(with_headings(source)).process_all(measurements)
-    return pose_errors((e for _, e in steps), recorded.t, recorded.poses)
+    return errors_over(measurements, recorded, with_headings(source))[0]
 
 
 def errors_of(drives: Sequence[tuple[Recording, list[Measurement]]], source: str) -> Errors:
     found = [found_of(recorded, measurements, source).between(20.0) for recorded, measurements in drives]
     return Errors(
-        math.sqrt(np.mean([np.mean(e.distances**2) for e in found])),
-        math.sqrt(np.mean([np.mean(e.off[:, 2] ** 2) for e in found])),
-        float(np.mean([np.mean(e.nees(3)) for e in found])),
+        math.sqrt(np.mean([e.rms**2 for e in found])),
+        math.sqrt(np.mean([e.heading_rms**2 for e in found])),
+        float(np.mean([e.nees(3).mean() for e in found])),
     )
 
 
@@ -125,8 +124,8 @@ def test_multipath_is_rejected_while_headings_are_off(turned: float) -> None:
             if isinstance(m, PoseFix) and 61 * S <= m.stamp_ns < 69 * S:
                 measurements[k] = replace(m, pose=m.pose + np.array((0.8, 0.6, 0.0)))
         found = found_of(truth, measurements, IN_POSES).between(60.0, 75.0)
-        squares.append(np.mean(found.distances**2))
-        nees.append(np.mean(found.nees(2)))
+        squares.append(found.rms**2)
+        nees.append(found.nees(2).mean())
     assert math.sqrt(np.mean(squares)) < 0.2
     assert np.mean(nees) < 5.0  # 2 if consistent
 

@@ -5,12 +5,11 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS
-from fixtures.pose_errors import pose_errors
+from fixtures.pose_errors import PoseErrors, errors_over
 from fixtures.swinging_cab import ENCODER, Cab, Part, Recording, dig, record
 
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -49,27 +48,12 @@ def spoilt(recording: Recording, fault: EncoderFault) -> list[Measurement]:
     return measurements
 
 
-class Errors(NamedTuple):
-    """RMS errors and mean NEES of the estimates after 20 s."""
-
-    place: float  # m
-    heading: float  # rad
-    place_nees: float  # 2 if consistent
-    heading_nees: float  # 1 if consistent
-
-
 def errors_of(
     recording: Recording, measurements: Sequence[Measurement], *, has_heading: bool = True
-) -> Errors:
-    steps = SlipEstimator(of_receiver(has_heading=has_heading)).process_all(measurements)
-    found = pose_errors((e for _, e in steps), recording.t, recording.poses).between(20.0)
-    headings = found.off[:, 2] ** 2
-    return Errors(
-        math.sqrt(np.mean(found.distances**2)),
-        math.sqrt(np.mean(headings)),
-        float(np.mean(found.nees(2))),
-        float(np.mean(headings / found.covariances[:, 2, 2])),
-    )
+) -> PoseErrors:
+    """Errors of the estimates after 20 s."""
+    found, _ = errors_over(measurements, recording, of_receiver(has_heading=has_heading))
+    return found.between(20.0)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
@@ -77,9 +61,9 @@ def test_wrong_swing_encoder_degrades_neither_position_nor_heading(kind: str) ->
     parts = [part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)]
     recording = record(parts, Cab(fix_hertz=1.0))
     found = errors_of(recording, spoilt(recording, FAULTS[kind]))
-    assert found.place < 0.02
-    assert found.heading < 0.02
-    assert found.place_nees < 4.0
+    assert found.rms < 0.02
+    assert found.heading_rms < 0.02
+    assert found.nees(2).mean() < 4.0
     assert found.heading_nees < 3.0
 
 
@@ -92,8 +76,8 @@ def test_encoder_that_freezes_before_a_swing_does_not_turn_the_undercarriage(
     recording = record([*dig(), *dig(math.pi / 2.0)], Cab(hertz=hertz, fix_hertz=fix_hertz))
     measurements = spoilt(recording, lambda t, angle, _: 0.0 if 12.0 <= t < 30.0 else angle)
     found = errors_of(recording, measurements, has_heading=has_heading)
-    assert found.place < 0.02
-    assert found.heading < 0.03
+    assert found.rms < 0.02
+    assert found.heading_rms < 0.03
     assert found.heading_nees < 3.0
 
 
@@ -101,8 +85,8 @@ def test_scale_error_of_a_tenth_turns_the_heading_by_at_most_a_tenth_of_the_swin
     parts = [part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)]
     recording = record(parts, Cab(hertz=50))
     found = errors_of(recording, spoilt(recording, lambda t, angle, _: 0.9 * angle))
-    assert found.heading < math.pi / 10.0
-    assert found.place < 0.02
+    assert found.heading_rms < math.pi / 10.0
+    assert found.rms < 0.02
 
 
 DRIVES_ON = [Part(2.0), Part(8.0, 2.0, 2.0)]
