@@ -16,7 +16,14 @@ from trackslip_common.errors import InputError
 from trackslip_common.kept_files import MAX_UNUSED_FILES
 from trackslip_estimation.slip import state_file
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, decay_to_prior, learned_context, to_tree
+from trackslip_estimation.slip.learned import (
+    Learned,
+    LearnedContext,
+    decay_to_prior,
+    learned_context,
+    to_tree,
+)
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.state_file import StateFile, parse_state, state_text
 
 P = parameters()
@@ -25,15 +32,17 @@ NOW_S = 1.8e9
 HOUR = 3600.0
 
 
-def _learned() -> Learned:
-    estimator = SlipEstimator(P)
-    estimator.process_all(drive(Machine(gyro_scale=0.97, duration=30.0)).measurements)
+def _learned(p: SlipEstimatorParameters, machine: Machine) -> Learned:
+    estimator = SlipEstimator(p)
+    estimator.process_all(drive(machine).measurements)
     assert estimator.learned is not None
     return estimator.learned
 
 
-LEARNED = _learned()
+LEARNED = _learned(P, Machine(gyro_scale=0.97, duration=30.0))
 TEXT = state_text(LEARNED, CONTEXT, NOW_S)
+_OTHER_VEHICLE = parameters(**{"vehicle.kinematics.tread": 0.8})
+OTHER, OF_OTHER = learned_context(_OTHER_VEHICLE), _learned(_OTHER_VEHICLE, Machine(duration=5.0))
 
 
 @pytest.fixture
@@ -51,11 +60,30 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return set_clock
 
 
-def written(path: Path, learned: Learned = LEARNED) -> StateFile:
-    store = StateFile(str(path))
-    store.write(learned, CONTEXT)
+def write(store: StateFile, learned: Learned | None = LEARNED, context: LearnedContext = CONTEXT) -> None:
+    store.write(learned, context)
     store.finish()
+
+
+def written(path: Path) -> StateFile:
+    store = StateFile(str(path))
+    write(store)
     return store
+
+
+def of_another_vehicle(path: Path) -> StateFile:
+    """The store of another vehicle, which finds the file of the first one, and writes its own."""
+    store = StateFile(str(path))
+    assert store.read(OTHER) is None
+    assert "of another vehicle" in store.note
+    write(store, OF_OTHER, OTHER)
+    return store
+
+
+def assert_learned(found: Learned | None, age_s: float) -> None:
+    """Assert that the learned states are those of ``LEARNED`` at an age."""
+    assert found is not None
+    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, age_s, CONTEXT), CONTEXT)
 
 
 def put(path: Path, text: str) -> None:
@@ -69,11 +97,9 @@ def test_written_states_are_read_with_their_age(path: Path, at: Callable[[float]
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     at(NOW_S + 2 * HOUR)
     store = StateFile(str(path))
-    found = store.read(CONTEXT)
-    assert found is not None
+    assert_learned(store.read(CONTEXT), 2 * HOUR)
     assert store.used
     assert store.note == f"starts from values learned 2 h ago ({path})"
-    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, 2 * HOUR, CONTEXT), CONTEXT)
 
 
 def test_the_file_can_be_read_by_people(path: Path) -> None:
@@ -99,8 +125,7 @@ def test_no_file_is_written_without_a_path(tmp_path: Path, monkeypatch: pytest.M
 def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     store = StateFile("~/kept.yaml")
-    store.write(LEARNED, CONTEXT)
-    store.finish()
+    write(store)
     assert (tmp_path / "kept.yaml").is_file()
 
 
@@ -158,8 +183,7 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
     assert "\n" not in store.note
     assert path.read_bytes() == content  # until there is a state to write
     for _ in range(2):
-        store.write(LEARNED, CONTEXT)
-        store.finish()
+        write(store)
     assert path.with_name(f"{path.name}.unused").read_bytes() == content
     assert len(list(path.parent.iterdir())) == 2
     assert StateFile(str(path)).read(CONTEXT) is not None
@@ -171,8 +195,7 @@ def test_up_to_nine_unusable_files_are_kept_aside(path: Path) -> None:
         put(path, f"years of work, {n}")
         store = StateFile(str(path))
         assert store.read(CONTEXT) is None
-        store.write(LEARNED, CONTEXT)
-        store.finish()
+        write(store)
     assert store.failure == "9 files slip_estimator.yaml.unused… are there already; move or delete some"
     assert path.read_text(encoding="utf-8") == f"years of work, {MAX_UNUSED_FILES}"
     store.forget(CONTEXT)
@@ -180,75 +203,47 @@ def test_up_to_nine_unusable_files_are_kept_aside(path: Path) -> None:
     texts = sorted(file.read_text(encoding="utf-8") for file in path.parent.iterdir())
     assert texts == [f"years of work, {n}" for n in range(MAX_UNUSED_FILES + 1)]
     path.with_name(f"{path.name}.unused-3").unlink()
-    store.write(LEARNED, CONTEXT)
-    store.finish()
+    write(store)
     assert store.failure == ""
     assert StateFile(str(path)).read(CONTEXT) is not None
-
-
-def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> None:
-    written(path)
-    first = path.read_bytes()
-    other = parameters(**{"vehicle.kinematics.tread": 0.8})
-    store = StateFile(str(path))
-    assert store.read(learned_context(other)) is None
-    assert "of another vehicle" in store.note
-    estimator = SlipEstimator(other)
-    estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    store.write(estimator.learned, learned_context(other))
-    store.finish()
-    (aside,) = (p for p in path.parent.iterdir() if p != path)
-    assert aside.name.startswith(f"{path.name}.of-")
-    assert aside.read_bytes() == first
-    assert StateFile(str(path)).read(learned_context(other)) is not None
 
 
 def test_vehicle_finds_its_file_after_another_one_used_the_path(
     path: Path, at: Callable[[float], None]
 ) -> None:
+    """The first vehicle's file is kept under a name of its own."""
     at(NOW_S)
     written(path)
     first = path.read_bytes()
-    p = parameters(**{"vehicle.kinematics.tread": 0.8})
-    other = learned_context(p)
-    estimator = SlipEstimator(p)
-    estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    second = StateFile(str(path))
-    assert second.read(other) is None
-    second.write(estimator.learned, other)
-    second.finish()
+    of_another_vehicle(path)
+    (aside,) = (p for p in path.parent.iterdir() if p != path)
+    assert aside.name.startswith(f"{path.name}.of-")
+    assert aside.read_bytes() == first
+    assert StateFile(str(path)).read(OTHER) is not None
 
     at(NOW_S + HOUR)
     again = StateFile(str(path))
-    found = again.read(CONTEXT)
-    assert found is not None
-    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, HOUR, CONTEXT), CONTEXT)
+    assert_learned(again.read(CONTEXT), HOUR)
     assert again.used
     assert "60 min ago" in again.note
     assert ".of-" in again.note
     again.forget(CONTEXT)
     assert first not in [file.read_bytes() for file in path.parent.iterdir()]
     assert StateFile(str(path)).read(CONTEXT) is None
-    assert StateFile(str(path)).read(other) is not None  # under its new name
+    assert StateFile(str(path)).read(OTHER) is not None  # under its new name
 
 
 def test_damaged_file_kept_aside_is_reported_and_kept(path: Path) -> None:
     """It is kept aside while the file of another machine is in its place."""
-    p = parameters(**{"vehicle.kinematics.tread": 0.8})
     written(path)
-    estimator, visitor = SlipEstimator(p), StateFile(str(path))
-    estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    visitor.read(learned_context(p))
-    visitor.write(estimator.learned, learned_context(p))
-    visitor.finish()
+    of_another_vehicle(path)
     (aside,) = (p for p in path.parent.iterdir() if p != path)
     aside.write_text("years of work", encoding="utf-8")
     store = StateFile(str(path))
     assert store.read(CONTEXT) is None
     assert f"{aside} is not used: its checksum is wrong: it was edited or truncated" in store.note
     assert not store.used
-    store.write(LEARNED, CONTEXT)
-    store.finish()
+    write(store)
     assert aside.with_name(f"{aside.name}.unused").read_text(encoding="utf-8") == "years of work"
     assert StateFile(str(path)).read(CONTEXT) is not None
 
@@ -261,10 +256,8 @@ def test_implausible_clock_ages_learned_states_by_a_week(
     written(path)
     at(now_s)
     store = StateFile(str(path))
-    found = store.read(CONTEXT)
-    assert found is not None
+    assert_learned(store.read(CONTEXT), 7 * 86400.0)
     assert "at an unknown time" in store.note
-    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, 7 * 86400.0, CONTEXT), CONTEXT)
 
 
 def test_file_of_another_version_is_not_used() -> None:
@@ -291,15 +284,13 @@ def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch:
 
     monkeypatch.setattr(os, "fsync", full)
     for _ in range(2):
-        store.write(LEARNED, CONTEXT)
-        store.finish()
+        write(store)
     assert (store.failures, store.failure) == (2, "No space left on device")
     assert store.status()["not written"] == "2"
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     monkeypatch.undo()
-    store.write(LEARNED, CONTEXT)
-    store.finish()
+    write(store)
     assert (store.failures, store.failure) == (2, "")
 
 
@@ -312,16 +303,14 @@ def test_estimator_continues_where_its_file_cannot_be_written(tmp_path: Path, na
     if name == "folder":
         assert "it is not a regular file" in store.note
         return
-    store.write(LEARNED, CONTEXT)
-    store.finish()
+    write(store)
     assert store.failures == 1
     assert store.failure
 
 
 def test_no_file_is_written_before_anything_is_learned(path: Path) -> None:
     store = StateFile(str(path))
-    store.write(None, CONTEXT)
-    store.finish()
+    write(store, None)
     assert not path.exists()
 
 
@@ -332,20 +321,16 @@ def test_forget_removes_the_file_until_the_next_write(path: Path, at: Callable[[
     store.forget(CONTEXT)
     assert not path.exists()
     assert store.failures == 0
-    store.write(LEARNED, CONTEXT)
-    store.finish()
-    found = StateFile(str(path)).read(CONTEXT)
-    assert found is not None
-    assert to_tree(found, CONTEXT) == to_tree(decay_to_prior(LEARNED, 0.0, CONTEXT), CONTEXT)
+    write(store)
+    assert_learned(StateFile(str(path)).read(CONTEXT), 0.0)
 
 
 def test_forget_keeps_the_file_of_another_vehicle(path: Path) -> None:
     written(path)
     first = path.read_bytes()
     store = StateFile(str(path))
-    other = learned_context(parameters(**{"vehicle.kinematics.tread": 0.8}))
-    assert store.read(other) is None
-    store.forget(other)
+    assert store.read(OTHER) is None
+    store.forget(OTHER)
     (aside,) = path.parent.iterdir()
     assert aside != path
     assert aside.read_bytes() == first
