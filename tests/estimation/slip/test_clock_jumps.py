@@ -103,6 +103,21 @@ def test_one_stamp_far_ahead_has_no_effect(found: list[Measurement], kind: type,
     assert estimator.restarts == (1 if k == 0 and kind is not YawRate else 0)
 
 
+@pytest.mark.parametrize("kind", [PoseFix, YawRate, Sprockets])
+@pytest.mark.parametrize(("hours", "outcome"), [(1, Outcome.AHEAD), (-1, Outcome.TOO_LATE)])
+def test_publisher_with_stamps_an_hour_off_changes_nothing(
+    found: list[Measurement], kind: type, hours: int, outcome: Outcome
+) -> None:
+    """Each measurement of a kind is followed by a copy with a stamp an hour off."""
+    once, both = shifted(found, 1_700_000_000 * S), list[Measurement]()
+    for m in once:
+        both += [m, *(shifted([m], hours * HOUR_NS) if isinstance(m, kind) else [])]
+    _, outcomes, published = run(both)
+    off = [abs(m.stamp_ns - once[0].stamp_ns) > HOUR_NS // 2 for m in both]
+    assert {o for o, is_off in zip(outcomes, off, strict=True) if is_off} - {Outcome.WAITING} == {outcome}
+    assert same(published, run(once)[2])
+
+
 def test_clock_set_forward_keeps_the_learned_states(found: list[Measurement]) -> None:
     """The clock jumps from 1970 to now when the network connects: no restart; the next fix sets the pose."""
     before, after = shifted(found, S), shifted(found, 1_700_000_000 * S)

@@ -165,14 +165,6 @@ def found(scores: dict[str, Score], baseline: dict[str, Score]) -> Mapping[str, 
     return bars(scores, baseline)
 
 
-def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
-    """Assert that each of the bars is met; skip the test where their log is missing."""
-    present = [found[key] for key in keys if key in found]
-    if not present:
-        pytest.skip("no log of the cases")
-    assert [bar for bar in present if not bar.is_met] == []
-
-
 @pytest.mark.skipif(not is_present("marmotte"), reason="no log of the tracked robot")
 @pytest.mark.parametrize(
     ("rate", "fault", "rmse", "largest"),
@@ -224,64 +216,45 @@ def test_failed_encoders_are_found_without_a_gyro(compass: Compass | None) -> No
     assert cell.inconsistent < 0.06
 
 
+EVERY_CASE: dict[str, tuple[str, ...]] = {  # promise → keys of the bars over all cases
+    "multipath and frozen fixes keep a seventh of the error": ("multipath",),
+    "other faults keep two thirds of the error": ("other",),
+    "no case but a permanent jump is worse by half": ("worst", "heavy_tails"),
+    "permanent jumps cost three times at most": ("worst_jump",),
+    "truth stays inside three sigma at permanent jumps": ("jumps_outside",),
+    **{
+        f"covariances hold in the windows of events: {machine}": (f"inconsistent_{machine}",)
+        for machine in ("drawn", "marmotte", "warthog")
+    },
+    "Gaussian fixes without faults stay within a hundredth": ("clean", "worst_clean"),
+    "correlated errors of fixes cost a tenth less": ("correlated",),
+    "white errors as stated cost three hundredths at most": ("white", "worst_white"),
+    "estimates are consistent with every receiver": (
+        *("receiver_nees", "receiver_heading_nees", "outage_nees"),
+    ),
+    "an ordinary receiver on a mower moves neither heading nor slip": (
+        *("mower_position", "mower_heading", "mower_slip"),
+    ),
+    "covariances hold with an ordinary receiver on a mower": ("mower_nees", "mower_heading_nees"),
+    "outages of an ordinary receiver are bridged": ("outages", "outages_nees", "single_outages"),
+    "RTK on a mower stays exact": ("rtk_1_hz", "rtk_5_hz"),
+    "RTK on a mower never reverses the heading": ("rtk_heading",),
+    "gyro carries the heading over encoder gaps": ("gaps_heading",),
+    "covariances hold over encoder gaps": ("gaps_nees",),
+}
+
+
 class TestEveryCase:
     """Bars over all cases."""
 
     pytestmark = slow
 
-    def test_multipath_and_frozen_fixes_keep_a_seventh_of_the_error(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "multipath")
-
-    def test_other_faults_keep_two_thirds_of_the_error(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "other")
-
-    def test_no_case_but_a_permanent_jump_is_worse_by_half(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "worst", "heavy_tails")
-
-    def test_permanent_jumps_cost_three_times_at_most(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "worst_jump")
-
-    def test_truth_stays_inside_three_sigma_at_permanent_jumps(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "jumps_outside")
-
-    @pytest.mark.parametrize("machine", ["drawn", "marmotte", "warthog"])
-    def test_covariances_hold_in_the_windows_of_events(self, found: Mapping[str, Bar], machine: str) -> None:
-        assert_met(found, f"inconsistent_{machine}")
-
-    def test_gaussian_fixes_without_faults_stay_within_a_hundredth(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "clean", "worst_clean")
-
-    def test_correlated_errors_of_fixes_cost_a_tenth_less(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "correlated")
-
-    def test_white_errors_as_stated_cost_three_hundredths_at_most(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "white", "worst_white")
-
-    def test_estimates_are_consistent_with_every_receiver(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "receiver_nees", "receiver_heading_nees", "outage_nees")
-
-    def test_ordinary_receiver_on_a_mower_moves_neither_heading_nor_slip(
-        self, found: Mapping[str, Bar]
-    ) -> None:
-        assert_met(found, "mower_position", "mower_heading", "mower_slip")
-
-    def test_covariances_hold_with_an_ordinary_receiver_on_a_mower(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "mower_nees", "mower_heading_nees")
-
-    def test_outages_of_an_ordinary_receiver_are_bridged(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "outages", "outages_nees", "single_outages")
-
-    def test_rtk_on_a_mower_stays_exact(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "rtk_1_hz", "rtk_5_hz")
-
-    def test_rtk_on_a_mower_never_reverses_the_heading(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "rtk_heading")
-
-    def test_gyro_carries_the_heading_over_encoder_gaps(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "gaps_heading")
-
-    def test_covariances_hold_over_encoder_gaps(self, found: Mapping[str, Bar]) -> None:
-        assert_met(found, "gaps_nees")
+    @pytest.mark.parametrize("promise", EVERY_CASE)
+    def test_bars_over_all_cases_are_met(self, found: Mapping[str, Bar], promise: str) -> None:
+        present = [found[key] for key in EVERY_CASE[promise] if key in found]
+        if not present:
+            pytest.skip("no log of the cases")
+        assert [bar for bar in present if not bar.is_met] == []
 
     def test_live_equals_replay_in_every_case(self, scores: dict[str, Score]) -> None:
         assert [name for name, score in scores.items() if not score.live_equals_replay] == []

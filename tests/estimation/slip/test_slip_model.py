@@ -104,12 +104,6 @@ def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     np.testing.assert_allclose(Q, (G * variance) @ G.T, atol=1e-8)
 
 
-@given(states, speeds, speeds)
-def test_twist_jacobian(x: FloatArray, left: float, right: float) -> None:
-    expected = differences(lambda v: twist(v, left, right), x)
-    np.testing.assert_allclose(dispatch.twist_jacobian(x, left, right, C), expected, atol=1e-7)
-
-
 @pytest.mark.parametrize(("kind", "rows"), [(YAW_RATE, 1), (POSE, 2), (POSE, 3)])
 @given(x=states, left=speeds, right=speeds)
 def test_h_is_the_derivative_of_the_measurement(

@@ -46,6 +46,7 @@ from trackslip_estimation.slip.models.speed import (
     TURN_STATE_2,
     YAW_RATE_ERROR,
 )
+from trackslip_estimation.slip.models.turning import EFFICIENCY, LOSS
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import YAW_RATE
@@ -189,6 +190,36 @@ def test_twist_of_the_icr_model_equals_its_equations(
     np.testing.assert_allclose(
         (v, rate), np.linalg.solve(((1.0, -y_left), (1.0, -y_right)), tracks), atol=1e-12
     )
+
+
+def speed_loss(left: float, right: float) -> float:
+    """Speed, m/s, that η = 1 takes from a machine without other slip."""
+    x = np.zeros(SIZE)
+    x[LOSS] = 1.0
+    v, _, _ = dispatch.twist(x, left, right, RECORDS["turning"])
+    return RADIUS * (left + right) / 2.0 - float(v)
+
+
+def test_rounded_counts_hardly_slow_a_straight_drive() -> None:
+    """Rounding alone gives |D| a mean above 0; in the law of a full turn it would cost 1 % of 0.22 m/s."""
+    count = load_slip_parameters().encoder_resolution
+    angles = np.floor(np.outer(np.arange(1001) * 0.01, (1.4, 1.4)) / count + (0.2, 0.7)) * count
+    speeds_ = (np.diff(angles, axis=0) / 0.01).tolist()
+    rectified = np.mean([RADIUS * abs(right - left) / 2.0 for left, right in speeds_])
+    assert rectified > 0.008 * RADIUS * 1.4
+    assert 0.0 < np.mean([speed_loss(*pair) for pair in speeds_]) < 0.5 * rectified
+
+
+def test_lower_turning_efficiency_raises_the_speed_loss() -> None:
+    """The prior correlation keeps κ + η at 0.8 ± 0.2."""
+    config = CONFIGS["turning"]
+    state, moving = start_of(config, np.zeros(3), 1e-4 * np.eye(3)), Speeds(1.0, 2.0)
+    measured = rate_measured(0.1 * RADIUS / TREAD, 1e-8)
+    for _ in range(100):
+        state = filter_step(config, state, moving, 0.02, TURNING, measured).updated
+    assert state.mean[EFFICIENCY] == pytest.approx(0.1, abs=0.02)
+    assert state.mean[LOSS] == pytest.approx(0.7, abs=0.03)
+    assert np.sqrt(state.covariance[LOSS, LOSS]) == pytest.approx(0.2, abs=0.02)
 
 
 def test_both_models_without_slip_are_the_ideal_vehicle() -> None:
