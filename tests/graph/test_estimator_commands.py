@@ -7,12 +7,15 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from fixtures.driven_estimator import DrivenEstimator
 from fixtures.observer import values_of
+from fixtures.own_node import own_node
 from fixtures.sensor_messages import pose, sprockets
+from rclpy.parameter import Parameter
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trackslip_msgs.msg import MeasurementReport as R
 
 from trackslip_common.make import stamp_ns_of
+from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 
 SPEED, RADIUS = 1.5, 0.159  # rad/s, m
 SET_POSE = "slip_estimator/set_pose"
@@ -108,6 +111,15 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     summary = graph.end()
     assert summary["replay_matches"] is True
     assert summary["rejected"]["box_pose"]["frozen"] == 1
+
+
+def test_parameters_set_before_the_first_run_reach_the_estimator(domain):
+    with own_node(SlipEstimatorNode, domain, autostart=False) as node:
+        node.trigger_configure()
+        (result,) = node.set_parameters([Parameter("gate_probability", value=0.5)])
+        assert result.successful, result.reason
+        node.trigger_activate()
+        assert node._estimator.parameters.gate_probability == 0.5
 
 
 @pytest.mark.slow
