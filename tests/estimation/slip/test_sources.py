@@ -13,7 +13,7 @@ from fixtures.filter_steps import Gaussian, config_of, differences
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.levers import to_sensor
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.observations.pose import is_heading_used
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -218,6 +218,14 @@ def test_inconsistent_source_settings_are_refused_in_one_line(changes: dict[str,
         load_slip_parameters(changes)
     assert words in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_sign_of_a_gyro_upside_down_is_inverted(drive: Callable[..., Any]) -> None:
+    driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in driven.measurements]
+    right, outcomes = end_of(flipped, **{"sources.imu_data_raw.sign": -1})
+    np.testing.assert_array_equal(right.pose, end_of(driven.measurements)[0].pose)
+    assert Outcome.GATED not in outcomes
 
 
 def test_a_source_may_be_bound_to_a_frame() -> None:
