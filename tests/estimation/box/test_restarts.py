@@ -11,7 +11,7 @@ from fixtures.box_site import BOX, PARAMETERS, scan_of
 
 from trackslip_common.tally import Tally
 from trackslip_estimation.box.background import Background
-from trackslip_estimation.box.localizer import BoxLocalizer, Rejection
+from trackslip_estimation.box.localizer import BoxLocalizer
 from trackslip_estimation.box.odometry import Odometry, OdometryBuffer
 from trackslip_estimation.box.search import Reason
 
@@ -71,7 +71,7 @@ def test_background_survives_several_restarts_without_a_fix():
         localizer = BoxLocalizer(PARAMETERS, BOX, state)
         for stamp, ranges in SITE_DRIVE.scans:
             if second <= stamp < second + 2.0:
-                assert isinstance(localizer.locate(scan_of(stamp, ranges)), Rejection)
+                assert isinstance(localizer.locate(scan_of(stamp, ranges)), Reason)
         state = localizer.saved_state
     localizer = BoxLocalizer(PARAMETERS, BOX, state)
     assert longest_wrong(SITE_DRIVE.scored(localizer, 60.0, MANY)) <= LONGEST

@@ -21,24 +21,23 @@ AWAY = 10  # scans without a localizer
 NEAR = dataclasses.replace(PARAMETERS, initial_reach=1.0)
 
 
-@pytest.fixture
-def after_turn():
-    """A localizer and a scanner after a turn."""
-    scanner, localizer = SiteScanner(SITE, BOX, seed=1), BoxLocalizer(NEAR, BOX)
-    drive(localizer, scanner, turning, SCANS)
-    return localizer, scanner
+@pytest.fixture(scope="module")
+def state():
+    """The saved state of a localizer after a turn."""
+    localizer = BoxLocalizer(NEAR, BOX)
+    drive(localizer, SiteScanner(SITE, BOX, seed=1), turning, SCANS)
+    return localizer.saved_state
 
 
-def fixes_of(localizer, scanner, first):
-    outcomes = drive(localizer, scanner, turning, 20, first=first)
+def fixes_of(localizer, first):
+    outcomes = drive(localizer, SiteScanner(SITE, BOX, seed=2), turning, 20, first=first)
     return [fix for fix in outcomes if isinstance(fix, BoxFix)]
 
 
-def test_a_localizer_killed_far_from_its_start_finds_the_box_again(after_turn, tmp_path):
-    before, scanner = after_turn
-    TrackFile(str(tmp_path / "track.json")).write(before.saved_state)
+def test_a_localizer_killed_far_from_its_start_finds_the_box_again(state, tmp_path):
+    TrackFile(str(tmp_path / "track.json")).write(state)
     after = BoxLocalizer(NEAR, BOX, TrackFile(str(tmp_path / "track.json")).read())
-    fixes = fixes_of(after, scanner, SCANS + AWAY)
+    fixes = fixes_of(after, SCANS + AWAY)
     assert after.resumed
     assert len(fixes) >= 18
     assert_near(fixes[-1], turning)
@@ -48,28 +47,27 @@ def test_a_localizer_killed_far_from_its_start_finds_the_box_again(after_turn, t
         if abs(f.yaw - turning(f.stamp_ns * 1e-9)[2]) > 0.5 and f.covariance[2, 2] < CEILING**2
     ]
     assert wrong == []
-    assert fixes_of(BoxLocalizer(NEAR, BOX), scanner, SCANS + AWAY) == []
+    assert fixes_of(BoxLocalizer(NEAR, BOX), SCANS + AWAY) == []
 
 
-def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(after_turn):
+def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(state):
     """The box is hidden for longer than a track is kept, but a running localizer would find it too."""
-    before, scanner = after_turn
+    before, scanner = BoxLocalizer(NEAR, BOX, state), SiteScanner(SITE, BOX, seed=1)
     unseen = round(NEAR.resume_time / PERIOD) + 10
     out_of_sight = drive(before, scanner, standing(0.0, -60.0, 0.0), unseen, first=SCANS)
     assert not any(isinstance(fix, BoxFix) for fix in out_of_sight)
     after = BoxLocalizer(NEAR, BOX, before.saved_state)
-    fixes = fixes_of(after, scanner, SCANS + unseen + AWAY)
+    fixes = fixes_of(after, SCANS + unseen + AWAY)
     assert after.resumed
     assert len(fixes) >= 18
     assert_near(fixes[-1], turning)
 
 
-def test_a_track_of_long_ago_or_of_the_future_is_not_used(after_turn):
-    before, _ = after_turn
+def test_a_track_of_long_ago_or_of_the_future_is_not_used(state):
     pose_at = standing(0.0, 0.0, 0.0)
     late = round(NEAR.resume_time / 0.21) + SCANS + 10
     for first in (0, late):
-        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, before.saved_state)
+        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, state)
         there = drive(resumed, SiteScanner(SITE, BOX, seed=2), pose_at, 5, first=first)
         assert not resumed.resumed
         assert [fix.yaw for fix in there] == [
@@ -77,8 +75,7 @@ def test_a_track_of_long_ago_or_of_the_future_is_not_used(after_turn):
         ]
 
 
-def test_track_file_restores_track_and_background(after_turn):
-    state = after_turn[0].saved_state
+def test_track_file_restores_track_and_background(state):
     parsed = parse_track(track_text(state))
     assert parsed.scan_ns == state.scan_ns
     track, again = state.track, parsed.track
@@ -94,11 +91,9 @@ def test_track_file_restores_track_and_background(after_turn):
         np.testing.assert_allclose(getattr(parsed.background, name), expected, atol=5.1e-4)
 
 
-def test_file_of_an_older_version_is_refused_in_one_line(after_turn, tmp_path):
+def test_file_of_an_older_version_is_refused_in_one_line(state, tmp_path):
     path = tmp_path / "track.json"
-    path.write_text(
-        json.dumps({**json.loads(track_text(after_turn[0].saved_state)), "version": 2}), encoding="utf-8"
-    )
+    path.write_text(json.dumps({**json.loads(track_text(state)), "version": 2}), encoding="utf-8")
     file = TrackFile(str(path))
     assert file.read() is None
     assert file.failure == f"{path} is not used: it is of version '2', not 3"
@@ -134,8 +129,8 @@ def test_any_other_text_is_refused(text):
         ("free", [1.0]),
     ],
 )
-def test_a_changed_value_is_refused(after_turn, tmp_path, key, value):
-    tree = json.loads(track_text(after_turn[0].saved_state))
+def test_a_changed_value_is_refused(state, tmp_path, key, value):
+    tree = json.loads(track_text(state))
     path = tmp_path / "track.json"
     path.write_text(json.dumps({**tree, key: value}), encoding="utf-8")
     file = TrackFile(str(path))
@@ -143,24 +138,24 @@ def test_a_changed_value_is_refused(after_turn, tmp_path, key, value):
     assert str(path) in file.failure
 
 
-def test_file_that_is_no_track_is_kept_under_another_name(after_turn, tmp_path):
+def test_file_that_is_no_track_is_kept_under_another_name(state, tmp_path):
     """``track_file`` names a text file of the user."""
     path = tmp_path / "notes.txt"
     for text in ("years of work", "more of it"):
         path.write_text(text, encoding="utf-8")
         file = TrackFile(str(path))
         assert file.read() is None
-        file.write(after_turn[0].saved_state)
+        file.write(state)
     assert path.with_name("notes.txt.unused").read_text(encoding="utf-8") == "years of work"
     assert path.with_name("notes.txt.unused-2").read_text(encoding="utf-8") == "more of it"
     assert TrackFile(str(path)).read() is not None
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(after_turn, tmp_path):
+def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(state, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     file = TrackFile(str(tmp_path / "file" / "track.json"))
-    file.write(after_turn[0].saved_state)
+    file.write(state)
     assert file.failures == 1
     assert "is not written" in file.failure
     assert TrackFile("").read() is None

@@ -11,7 +11,6 @@ pose; else the clock was set, and the box is at its last pose. Without a fix at 
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -37,13 +36,6 @@ from trackslip_estimation.box.track import Expectation, LocalizerState, Track, i
 
 
 @dataclass(frozen=True)
-class Rejection:
-    """A scan without a fix."""
-
-    reason: Reason
-
-
-@dataclass(frozen=True)
 class BoxFix:
     """base_link in odom when the beams hit the box, m and rad; covariance (3, 3) of (x, y, yaw)."""
 
@@ -52,13 +44,6 @@ class BoxFix:
     y: float
     yaw: float
     covariance: FloatArray
-
-
-class FoundBox(NamedTuple):
-    """Box found in a scan."""
-
-    expected: Expectation
-    candidate: Candidate
 
 
 class BoxLocalizer:
@@ -98,7 +83,7 @@ class BoxLocalizer:
         self._scan_ns = 0  # stamp of its latest scan
         self._clock = self._new_clock()
 
-    def locate(self, scan: Scan, odometry: Odometry | None = None) -> BoxFix | Rejection:
+    def locate(self, scan: Scan, odometry: Odometry | None = None) -> BoxFix | Reason:
         """Return the fix of one scan, or why there is none.
 
         ``odometry``: at the time of the scan, if available; it only decides which object is the box if the
@@ -109,8 +94,7 @@ class BoxLocalizer:
         result = reason or self._find_box(scan, odometry)
         if isinstance(result, Reason):
             self.tally.add("scan", result)
-            return Rejection(result)
-        return self._accept_fix(scan, result.expected, result.candidate)
+        return result
 
     def _new_clock(self) -> ClockMonitor:
         return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
@@ -156,8 +140,8 @@ class BoxLocalizer:
         p = self._parameters
         return p.laser_x, p.laser_y, p.laser_yaw
 
-    def _find_box(self, scan: Scan, odometry: Odometry | None) -> FoundBox | Reason:
-        """Return the box near its track, or why there is none: the last check that was reached."""
+    def _find_box(self, scan: Scan, odometry: Odometry | None) -> BoxFix | Reason:
+        """Return the fix of the box near its track, or why there is none: the last check that was reached."""
         reasons = []
         angles = scan.angles()
         for track in self._tracks:
@@ -171,7 +155,7 @@ class BoxLocalizer:
                 continue
             chosen = self._association.choose(candidates, expected, odometry, scan.stamp_ns)
             if chosen is not None:
-                return FoundBox(expected, chosen)
+                return self._accept_fix(scan, expected, chosen)
             reasons.append(Reason.UNCERTAIN)
         return max(reasons, key=list(Reason).index)
 

@@ -14,7 +14,7 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.topics import ODOMETRY
 from trackslip_estimation.box.fit import compile_fit
-from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Rejection
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.odometry import Odometry, OdometryBuffer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_estimation.box.scan import Scan
@@ -77,7 +77,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         scan = Scan(stamp_ns_of(message), ranges, *geometry)
         fix = self._localizer.locate(scan, self._odometry.find_nearest(scan.stamp_ns))
-        self._is_uncertain = fix == Rejection(Reason.UNCERTAIN)
+        self._is_uncertain = fix is Reason.UNCERTAIN
         self._file.write(self._localizer.saved_state)
         if isinstance(fix, BoxFix):
             self._fixes += 1
