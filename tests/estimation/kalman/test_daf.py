@@ -101,7 +101,7 @@ def test_headings_are_averaged_over_the_shorter_arc(angle: float) -> None:
 @models
 @kappas
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_daf_equals_the_ekf_for_linear_measurements(model: str, kappa: float, seed: int) -> None:
     """Poses are linear in every state: the update equals that of the EKF."""
     rng = np.random.default_rng(seed)
@@ -135,7 +135,7 @@ def test_a_linear_step_makes_it_the_kalman_filter(kappa: float) -> None:
 
 @models
 @kappas
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_covariance_stays_symmetric_and_positive(model: str, kappa: float, seed: int) -> None:
     rng = np.random.default_rng(seed)

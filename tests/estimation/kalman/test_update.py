@@ -59,7 +59,7 @@ def test_wrap_is_half_open_at_pi(angle: float, expected: float) -> None:
     assert wrap(angle) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_compiled_algebra_is_that_of_numpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A, B, v = rng.normal(size=(3, 7)), rng.normal(size=(7, 4)), rng.normal(size=7)
@@ -79,7 +79,7 @@ def test_compiled_algebra_is_that_of_numpy(seed: int) -> None:
     np.testing.assert_allclose(joseph(P, K, H, S), keep @ P @ keep.T + K @ S @ K.T, rtol=0.0, atol=1e-11)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_covariance_is_propagated_as_by_numpy(seed: int) -> None:
     """F is full in its first rows and diagonal below: a pose driven by states that decay."""
     rng, n, coupled = np.random.default_rng(seed), 7, 3
@@ -117,7 +117,7 @@ def test_update_of_one_number_by_hand() -> None:
 
 
 @pytest.mark.parametrize("m", [1, 2, 3])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     x, P = rng.normal(size=5), spd(rng, 5)
@@ -161,13 +161,18 @@ def test_precise_measurement_leaves_a_positive_covariance() -> None:
 
 
 @pytest.mark.parametrize("considered", [0, 1 << 2])
-def test_correlated_noise_equals_augmented_states(considered: int) -> None:
+@pytest.mark.parametrize("is_correlated", [True, False])
+def test_noise_equals_augmented_states_and_considered_states_stay(
+    considered: int, *, is_correlated: bool
+) -> None:
     """Against the update of the augmented state with a noise-free measurement."""
     random = np.random.default_rng(4)
     n, m = 5, 2
     root_of_joint = random.standard_normal((n + m, n + m))
     joint = root_of_joint @ root_of_joint.T + 10.0 * np.eye(n + m)
     H = random.standard_normal((m, n))
+    if not is_correlated:
+        joint[n:, :n] = joint[:n, n:] = 0.0
     P, C, R = joint[:n, :n].copy(), joint[n:, :n].copy(), joint[n:, n:].copy()
     innovation, whole = random.standard_normal(m), np.column_stack((H, np.eye(m)))
     K = joint @ whole.T @ np.linalg.inv(whole @ joint @ whole.T)
@@ -175,22 +180,10 @@ def test_correlated_noise_equals_augmented_states(considered: int) -> None:
         K[2] = 0.0
     keep = np.eye(n + m) - K @ whole
     x = np.zeros(n)
-    correct(x, P, Observation(innovation, H, R, considered, 0, C))
+    correct(x, P, Observation(innovation, H, R, considered, 0, C if is_correlated else np.zeros((0, n))))
     np.testing.assert_allclose(x, (K @ innovation)[:n], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(P, (keep @ joint @ keep.T)[:n, :n], rtol=1e-9, atol=1e-9)
-
-
-def test_considered_state_keeps_its_moments_and_enters_the_gain() -> None:
-    rng = np.random.default_rng(5)
-    P, H, R, nu = spd(rng, 6), rng.normal(size=(2, 6)), spd(rng, 2), rng.normal(size=2)
-    x, after = np.zeros(6), P.copy()
-    correct(x, after, Observation(nu, H, R, 1 << 3, 0, np.zeros((0, 6))))
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    K[3] = 0.0
-    keep = np.eye(6) - K @ H
-    np.testing.assert_allclose(x, K @ nu, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(after, keep @ P @ keep.T + K @ R @ K.T, rtol=1e-9, atol=1e-12)
-    assert after[3, 3] == P[3, 3]
+    assert not considered or P[2, 2] == joint[2, 2]
 
 
 @pytest.mark.parametrize("size", [1.0, 10.0])
@@ -213,7 +206,7 @@ def schmidt_update(P: FloatArray, H: FloatArray, R: FloatArray, known: int) -> t
 
 
 @pytest.mark.parametrize("m", [1, 2])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("known", [(2, 4), (4,), (1, 2, 4)])
 def test_known_states_keep_their_moments_and_the_rest_is_corrected_given_them(
     seed: int, known: tuple[int, ...], m: int
