@@ -10,7 +10,7 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
-from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, Result, odds_of, odds_text
+from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion, Result, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Rejection
 from trackslip_tools.replay.inputs import InputStream
@@ -60,7 +60,7 @@ def _invalid_sources(stream: InputStream) -> list[Cause]:
             "invalid_readings",
             source,
             f"all {count} messages of {source} are {reason}",
-            odds_of(12.0),
+            READ_OFF,
             f"Leave {source} out of the sources of the slip estimator, or let its driver measure it",
         )
         for (source, reason), count in stream.rejected.total.items()
@@ -76,7 +76,7 @@ def _recorder_set_back(stream: InputStream) -> list[Cause]:
     begin, end = ((t - stream.start_ns) * 1e-9 for t in span)
     evidence = f"the recorder's clock was set back: it passed {begin:.1f} s to {end:.1f} s of the bag twice"
     remedy = f"Replay --stop {begin:.1f}, and --start {end:.1f} by itself; set the clock before a drive"
-    return [Cause("clock_set_back", "recorder", evidence, odds_of(12.0), remedy)]
+    return [Cause("clock_set_back", "recorder", evidence, READ_OFF, remedy)]
 
 
 def remedy_settings(result: Result) -> list[str]:
