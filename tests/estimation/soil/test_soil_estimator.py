@@ -67,9 +67,15 @@ def inputs_of(soil: str = "sand", segments: Segments = SEGMENTS) -> list[SoilInp
     return sensed(soil, segments, InputErrors())
 
 
-def run(inputs: Iterable[SoilInput], estimator: SoilEstimator | None = None) -> list[SoilOutput]:
-    estimator = estimator or SoilEstimator(P)
+def run(inputs: Iterable[SoilInput], estimator: SoilEstimator) -> list[SoilOutput]:
     return [output for one in inputs for output in estimator.advance(one)]
+
+
+@cache
+def ordinary() -> tuple[SoilEstimator, list[SoilOutput]]:
+    """An estimator after the drive on sand without a fault, and its outputs."""
+    estimator = SoilEstimator(P)
+    return estimator, run(inputs_of(), estimator)
 
 
 def at(outputs: list[SoilOutput], kind: type[Output], t: float) -> Output:
@@ -123,11 +129,13 @@ FAULTS: dict[PressureFault, Corrupt] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance(fault: PressureFault) -> None:
+def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance_until_it_ends(
+    fault: PressureFault,
+) -> None:
     estimator = SoilEstimator(P)
     inputs = corrupted(FAULTS[fault])
-    until_the_end = [i for i in inputs if i.stamp_ns < START_NS + (FAULT_ENDS - 0.1) * 1e9]
-    outputs = run(until_the_end, estimator)
+    end = sum(one.stamp_ns < START_NS + (FAULT_ENDS - 0.1) * 1e9 for one in inputs)
+    outputs = run(inputs[:end], estimator)
     assert estimator.faults == (fault,)
     assert estimator.tally.total["hydraulics", fault.value] > 400
     before, after = (at(outputs, SoilState, t) for t in (BEFORE, FAULT_ENDS))
@@ -137,20 +145,17 @@ def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance(fault
     assert after.mu_r_variance > 4.0 * before.mu_r_variance
     assert after.mu_l_variance > before.mu_l_variance
     assert after.strength.effective_samples < before.strength.effective_samples
-    begin, end = (at(outputs, TrackForces, t) for t in (BEFORE + 1.0, FAULT_ENDS - 1.0))
-    assert begin.thrust == end.thrust
-    assert all(b > 2.0 * a for a, b in zip(begin.thrust_variance, end.thrust_variance, strict=True))
-
-
-def test_estimates_recover_after_a_fault() -> None:
-    estimator = SoilEstimator(P)
-    last = at(run(corrupted(FAULTS[PressureFault.IN_BAR]), estimator), SoilState, 18.0)
-    assert estimator.faults == ()
-    assert last.mu_r == pytest.approx(0.2, rel=0.05)
+    begin, final = (at(outputs, TrackForces, t) for t in (BEFORE + 1.0, FAULT_ENDS - 1.0))
+    assert begin.thrust == final.thrust
+    assert all(b > 2.0 * a for a, b in zip(begin.thrust_variance, final.thrust_variance, strict=True))
+    recovered = at(run(inputs[end:], estimator), SoilState, 18.0)
+    if fault is not PressureFault.SWAPPED:  # which only another turn refutes
+        assert estimator.faults == ()
+        assert recovered.mu_r == pytest.approx(0.2, rel=0.05)
 
 
 def test_outputs_come_on_the_grids_of_their_periods() -> None:
-    outputs = run(inputs_of())
+    _, outputs = ordinary()
     for kind, period in ((TrackForces, P.forces_period), (SoilState, P.soil_period)):
         stamps = [o.stamp_ns for o in outputs if isinstance(o, kind)]
         assert np.diff(stamps) == pytest.approx(period * 1e9)
@@ -171,7 +176,8 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
         keys.append(delay[topic])
     shuffled = [inputs[k] for k in np.argsort(keys, kind="stable")]
     assert [one.source for one in shuffled] != [one.source for one in inputs]
-    expected, outputs = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
+    expected = ordinary()[1] if p is P else run(inputs, SoilEstimator(p))
+    outputs = run(shuffled, SoilEstimator(p))
     assert len(expected) - len(outputs) in (0, 1, 2, 3)  # the last ones may still wait
     assert [repr(o) for o in outputs] == [repr(o) for o in expected[: len(outputs)]]
 
@@ -192,30 +198,29 @@ def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
     assert widths[1] > 1.5 * widths[0]
 
 
-@pytest.mark.parametrize("chunk", [7, 1000])
-def test_batches_of_inputs_give_the_same_bits_as_single_ones(chunk: int) -> None:
+def test_batches_of_inputs_give_the_same_bits_as_single_ones() -> None:
     """A replay processes thousands of records at once, the live node one by one."""
-    inputs = corrupted(FAULTS[PressureFault.DROPPED])
+    inputs, live = corrupted(FAULTS[PressureFault.DROPPED]), SoilEstimator(P)
     records = np.zeros(len(inputs), SOIL_INPUT)
     for record, one in zip(records, inputs, strict=True):
         one.write_to(record)
-    replayed, live = SoilEstimator(P), SoilEstimator(P)
-    parts = [p for k in range(0, len(records), chunk) for p in replayed.advance_all(records[k : k + chunk])]
-    forces = np.concatenate([part.forces for part in parts])
-    states = [state for part in parts for state in part.states]
     expected = run(inputs, live)
-    assert repr(states) == repr([o for o in expected if isinstance(o, SoilState)])
-    for name in ("stamp_ns", "thrust", "thrust_variance", "resistance", "resistance_variance", "reserve"):
-        column = [getattr(o, name) for o in expected if isinstance(o, TrackForces)]
-        np.testing.assert_array_equal(forces[name], column)
-    assert replayed.tally.total == live.tally.total
-    assert replayed.stuck == live.stuck
+    for chunk in (7, 1000):
+        replayed = SoilEstimator(P)
+        parts = [p for k in range(0, len(records), chunk) for p in replayed.advance_all(records[k:][:chunk])]
+        forces = np.concatenate([part.forces for part in parts])
+        states = [state for part in parts for state in part.states]
+        assert repr(states) == repr([o for o in expected if isinstance(o, SoilState)])
+        for name in ("stamp_ns", "thrust", "thrust_variance", "resistance", "resistance_variance", "reserve"):
+            column = [getattr(o, name) for o in expected if isinstance(o, TrackForces)]
+            np.testing.assert_array_equal(forces[name], column)
+        assert replayed.tally.total == live.tally.total
+        assert replayed.stuck == live.stuck
 
 
 def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None:
-    ordinary, spinning = SoilEstimator(P), SoilEstimator(P)
-    run(inputs_of(), ordinary)
-    assert ordinary.stuck == (False, False)
+    assert ordinary()[0].stuck == (False, False)
+    spinning = SoilEstimator(P)
     outputs = run(inputs_of("clayey_soil", SPINNING), spinning)
     assert spinning.stuck == (False, True)
     last = at(outputs, TrackForces, 16.0)
@@ -287,21 +292,20 @@ def test_healthy_pressures_are_never_called_swapped_or_of_another_unit(soil: str
 
 def test_a_clock_set_back_restarts_the_estimate() -> None:
     early = [replace(one, stamp_ns=one.stamp_ns - START_NS) for one in inputs_of()]
+    late = [one for one in inputs_of() if one.stamp_ns < START_NS + 2e9]
     estimator = SoilEstimator(P)
-    outputs = run([*inputs_of(), *early], estimator)
+    outputs = run([*late, *early], estimator)
     assert estimator.restarts == 1
     fresh = [o for o in outputs if o.stamp_ns < START_NS]
-    last = at(fresh, SoilState, 0.0)
-    assert last.mu_r == pytest.approx(0.2, rel=0.05)
+    assert at(fresh, SoilState, 0.0).mu_r == pytest.approx(0.2, rel=0.05)
 
 
 def test_volumetric_efficiency_is_estimated_from_spools_and_speeds() -> None:
-    estimator = SoilEstimator(P)
-    run(inputs_of(), estimator)
+    estimator, _ = ordinary()
     assert estimator.volumetric_efficiency == pytest.approx(P.vehicle.whole().volumetric_efficiency, rel=0.02)
 
 
 def test_transducer_offsets_do_not_change_the_resistance() -> None:
-    outputs = run(sensed("sand", SEGMENTS, InputErrors(offsets=(2e5, 2e5))))
+    outputs = run(sensed("sand", SEGMENTS, InputErrors(offsets=(2e5, 2e5))), SoilEstimator(P))
     last = at(outputs, SoilState, 18.0)
     assert last.mu_r == pytest.approx(0.2, rel=0.05)
