@@ -3,7 +3,8 @@
 """The setup check on synthetic drives: it names each injected mistake, and none on healthy drives."""
 
 import re
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,10 +19,11 @@ from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.clocks import SourceDelay, judge_delays
 from trackslip_estimation.setup_check.collect import log_of_columns
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.frozen import frozen_spans
+from trackslip_estimation.setup_check.finding import OpenQuestion
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Counts, Log, Tracks
 from trackslip_estimation.setup_check.places import is_sliding
+from trackslip_estimation.setup_check.unmoved import frozen_spans
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SPROCKETS
 
@@ -57,6 +59,98 @@ def names_of(log: Log) -> set[str]:
     return {cause.cause for cause in check(log).causes}
 
 
+def scaled_fixes(log: Log, factor: float) -> Log:
+    return replace(log, fixes=tuple(replace(one, places=factor * one.places) for one in log.fixes))
+
+
+def with_stddev(log: Log, stddev: float) -> Log:
+    """The log with fixes that state this standard deviation, m."""
+    return replace(log, fixes=tuple(replace(f, stddevs=np.full(len(f.t), stddev)) for f in log.fixes))
+
+
+def far_fixes(*zeros: int) -> Log:
+    """Fixes once in 2 s, 1 km from the origin, except for those with index in ``zeros``, at the origin."""
+    log = make_drive(fix_rate=0.5, has_heading=False)
+    places = log.fixes[0].places + np.array((900.0, 400.0))
+    places[list(zeros)] = 0.0
+    return replace(log, fixes=(replace(log.fixes[0], places=places),))
+
+
+def shifted(log: Log, late: float, *, has_gyro_too: bool = False) -> Log:
+    """The log with stamps of fixes and headings ``late`` s later."""
+    return log.with_stamps(lambda name, t: t + late if has_gyro_too or name == "gnss_pose" else t)
+
+
+STEERING = ((4.0, 0.0, 0.0), *6 * ((8.0, 0.7, 0.25), (8.0, 0.7, -0.25)))
+ONE_SIDED = ((6.0, 0.0, 0.0), *4 * ((10.0, 0.9, 0.0), (4.0, 0.6, 0.4), (3.0, 0.0, 0.0)))
+
+
+def steered_without_turning(*, has_heading: bool) -> Log:
+    """Clay: the tracks differ, and the machine goes straight on; the gyro has a bias."""
+    log = make_drive(programme=STEERING, efficiency=0.6, has_heading=has_heading)
+    (gyro,), (fixes,) = log.gyros, log.fixes
+    ahead = np.interp(fixes.t, log.tracks.t, 0.33 * log.tracks.angles.mean(axis=1))
+    straight = replace(fixes, places=np.column_stack((ahead, 0.0 * ahead)))
+    compasses = tuple(replace(one, headings=0.0 * one.headings) for one in log.compasses)
+    still = replace(gyro, rates=0.005 * gyro.rates + 0.002)
+    return replace(log.with_gyro(still), fixes=(straight,), compasses=compasses)
+
+
+def spinning_in_left_turns() -> Log:
+    log = make_drive(programme=ONE_SIDED, lever=(0.0, 0.0))
+    turning = np.abs(np.gradient(log.tracks.angles[:, 1] - log.tracks.angles[:, 0])) > 1e-3
+    speeds = np.where(turning[:, np.newaxis], log.tracks.speeds + 0.5, log.tracks.speeds)
+    return replace(log, tracks=tracks_of_speeds(log.tracks.t, speeds))
+
+
+def fixes_of_varying_lag() -> Log:
+    log = make_drive(has_heading=False)
+    (one,) = log.fixes
+    lag = 0.6 + 0.4 * np.sin(2.0 * np.pi * one.t / 120.0)
+    places = [np.interp(one.t - lag, one.t, column) for column in one.places.T]
+    return replace(log, fixes=(replace(one, places=np.column_stack(places)),))
+
+
+def fixes_outside(begin: float, end: float) -> Log:
+    log = make_drive(2, has_heading=False)
+    (fixes,) = log.fixes
+    return replace(log, fixes=(fixes.select((fixes.t < begin) | (fixes.t > end)),))
+
+
+def every_nth(source: str, n: int) -> Log:
+    """A drive with every ``n``-th reading of the tracks, gyros or fixes."""
+    log = make_drive()
+    if source == "tracks":
+        tracks = log.tracks
+        return replace(log, tracks=Tracks(tracks.t[::n], tracks.speeds[::n], tracks.angles[::n]))
+    (one,) = getattr(log, source)
+    return replace(log, **{source: (one.select(np.arange(0, len(one.t), n)),)})
+
+
+UNUSUAL: dict[str, Callable[[], Log]] = {  # and healthy
+    "a clay on which it does not turn": lambda: steered_without_turning(has_heading=True),
+    "the same without headings": lambda: steered_without_turning(has_heading=False),
+    "tracks that spin at standstill": lambda: piece(make_drive(stuck=60.0, has_heading=False), 70.0, 170.0),
+    "slip in turns to one side": spinning_in_left_turns,
+    "an outage of fixes": lambda: fixes_outside(40.0, 100.0),
+    "fixes whose lag varies": fixes_of_varying_lag,
+    "a wrong fix that is repeated": lambda: far_fixes(20, 21, 22, 23),
+    "tracks once in 2 s": lambda: every_nth("tracks", 100),
+    "a gyro once in 2 s": lambda: every_nth("gyros", 100),
+    "a gyro once in 5 s": lambda: every_nth("gyros", 250),
+    "fixes once in 2 s": lambda: every_nth("fixes", 10),
+    "fixes once in 40 s": lambda: every_nth("fixes", 200),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_no_cause_is_found_on_an_unusual_drive(name: str) -> None:
+    result = check(UNUSUAL[name]())
+    assert result.causes == ()
+    assert result.open_questions == () or name == "tracks once in 2 s"  # which misses changes of direction
+
+
 @pytest.mark.parametrize("name", HEALTHY)
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
@@ -78,30 +172,6 @@ def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
     compasses = tuple(c.select((c.t < 10.0) | (c.t > 20.0) | (headings == "all")) for c in log.compasses)
     causes = check(replace(log, gyros=(exact,), compasses=compasses)).causes
     assert [cause.cause for cause in causes] == expected
-
-
-STEERING = ((4.0, 0.0, 0.0), *6 * ((8.0, 0.7, 0.25), (8.0, 0.7, -0.25)))
-
-
-@pytest.mark.parametrize("has_heading", [True, False])
-def test_turns_without_yaw_rate_on_clay_are_no_mistake(has_heading: bool) -> None:
-    """A gyro bias must not be reported as sprocket counts that differ by a factor of two."""
-    log = make_drive(programme=STEERING, efficiency=0.6, has_heading=has_heading)
-    (gyro,), (fixes,) = log.gyros, log.fixes
-    still = 0.005 * gyro.rates + 0.002
-    ahead = np.interp(fixes.t, log.tracks.t, 0.33 * log.tracks.angles.mean(axis=1))
-    straight = replace(fixes, places=np.column_stack((ahead, 0.0 * ahead)))
-    compasses = tuple(replace(one, headings=0.0 * one.headings) for one in log.compasses)
-    result = check(replace(log.with_gyro(replace(gyro, rates=still)), fixes=(straight,), compasses=compasses))
-    assert result.causes == ()
-    assert result.open_questions == ()
-
-
-def test_an_outage_of_fixes_is_no_mistake() -> None:
-    log = make_drive(2)
-    (fixes,) = log.fixes
-    outage = fixes.select((fixes.t < 40.0) | (fixes.t > 100.0))
-    assert check(replace(log, fixes=(outage,), compasses=())).causes == ()
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -163,31 +233,58 @@ def test_a_standstill_names_the_motion_that_is_needed() -> None:
     assert result.undetermined
 
 
-SIDES = {  # left, right: cause, words of the remedy
-    "left twice": ((2.0, 1.0), "speed_unit", "left side"),
-    "right a quarter": ((1.0, 0.25), "speed_unit", "right side"),
-    "left dead": ((0.0, 1.0), "missing_value", "left encoder"),
-    "right dead": ((1.0, 0.0), "missing_value", "right encoder"),
+def exchanged_axes(log: Log, direction: float) -> Log:
+    """East and north exchanged, where a degree of longitude is longer than one of latitude in metres."""
+    (fixes,) = log.fixes
+    z = fixes.centred_places * np.exp(1.0j * np.radians(direction))
+    swapped = np.column_stack((z.imag, z.real / np.cos(np.radians(47.0))))
+    return replace(log.with_tracks(0.9 * np.eye(2)), fixes=(replace(fixes, places=swapped),))
+
+
+STILL = ((60.0, 0.0, 0.0), (4.0, 0.5, 0.3), (3.0, 0.0, 0.0))
+ONE_CAUSE: dict[str, tuple[Callable[[Log], Log], str, str]] = {  # change, cause, words of what is said
+    "left twice": (lambda log: log.with_tracks(np.diag((2.0, 1.0))), "speed_unit", "left side"),
+    "right a quarter": (lambda log: log.with_tracks(np.diag((1.0, 0.25))), "speed_unit", "right side"),
+    "left dead": (lambda log: log.with_tracks(np.diag((0.0, 1.0))), "missing_value", "left encoder"),
+    "right dead": (lambda log: log.with_tracks(np.diag((1.0, 0.0))), "missing_value", "right encoder"),
+    "left for both": (lambda log: log.with_tracks(np.eye(2)[[0, 0]]), "missing_value", "show the same"),
+    "right for both": (lambda log: log.with_tracks(np.eye(2)[[1, 1]]), "missing_value", "show the same"),
+    "fixes in km": (lambda log: scaled_fixes(log, 1e-3), "frame", "km"),
+    "fixes in km, stated coarse": (lambda log: with_stddev(scaled_fixes(log, 1e-3), 3.0), "frame", "km"),
+    "fixes in cm": (lambda log: scaled_fixes(log, 100.0), "frame", "no machine does"),
+    "time in days": (MISTAKES["time in days"].inject, "time_unit", "unit: d}"),
+    "gyro time in ms": (
+        lambda log: MISTAKES["gyro time in ms"].inject(piece(log, 40.0, 140.0)),
+        "time_unit",
+        "ms, declared s",
+    ),
+}
+ONE_CAUSE_WITHOUT_HEADINGS: dict[str, tuple[Callable[[Log], Log], str, str]] = {
+    "two fixes at zero": (lambda _: far_fixes(10, 50), "missing_value", "jumps to"),
+    "three fixes at zero at the start": (lambda _: far_fixes(0, 1, 2), "missing_value", "jumps to"),
+    "latitude for longitude": (lambda log: exchanged_axes(log, 0.0), "position_axes_swapped", "Exchange"),
+    "the same, 45°": (lambda log: exchanged_axes(log, 45.0), "position_axes_swapped", "Exchange"),
+    "sentinels of a gyro at rest": (
+        lambda _: MISTAKES["sentinels of the gyro"].inject(make_drive(programme=STILL)),
+        "missing_value",
+        "rate about z",
+    ),
 }
 
 
-@pytest.mark.parametrize("name", SIDES)
-@pytest.mark.parametrize("has_heading", [True, False])
-def test_a_track_that_turns_by_another_factor_is_named(name: str, has_heading: bool) -> None:
-    factors, expected, side = SIDES[name]
-    (cause,) = check(make_drive(has_heading=has_heading).with_tracks(np.diag(factors))).causes
+@pytest.mark.parametrize(
+    ("name", "has_heading"),
+    [
+        *((name, True) for name in ONE_CAUSE),
+        *((name, False) for name in ONE_CAUSE if not name.startswith(("time", "gyro"))),
+        *((name, False) for name in ONE_CAUSE_WITHOUT_HEADINGS),
+    ],
+)
+def test_one_mistake_is_named_in_words_and_no_other(name: str, *, has_heading: bool) -> None:
+    change, expected, words = (ONE_CAUSE | ONE_CAUSE_WITHOUT_HEADINGS)[name]
+    (cause,) = check(change(make_drive(has_heading=has_heading))).causes
     assert cause.cause == expected
-    assert side in cause.remedy
-
-
-@pytest.mark.parametrize("side", [0, 1])
-@pytest.mark.parametrize("has_heading", [True, False])
-def test_one_track_for_both_is_named(side: int, *, has_heading: bool) -> None:
-    """The cause is not a lever arm."""
-    log = make_drive(has_heading=has_heading).with_tracks(np.eye(2)[[side, side]])
-    (cause,) = check(log).causes
-    assert (cause.cause, cause.source) == ("missing_value", "sprockets")
-    assert "the same" in cause.evidence
+    assert words in cause.evidence + cause.remedy
 
 
 @pytest.mark.parametrize("name", ["gyro sign", "x and y", "tracks swapped"])
@@ -196,43 +293,19 @@ def test_a_sign_beside_a_track_that_turns_by_another_factor_is_named_too(name: s
     assert names_of(log) == {"speed_unit", MISTAKES[name].cause}
 
 
-def scaled_fixes(log: Log, factor: float) -> Log:
-    return replace(log, fixes=tuple(replace(one, places=factor * one.places) for one in log.fixes))
-
-
-def with_stddev(log: Log, stddev: float) -> Log:
-    """The log with fixes that state this standard deviation, m."""
-    return replace(log, fixes=tuple(replace(f, stddevs=np.full(len(f.t), stddev)) for f in log.fixes))
-
-
-@pytest.mark.parametrize("stddev", [0.02, 3.0])
-@pytest.mark.parametrize("has_heading", [True, False])
-def test_fixes_in_km_are_named(has_heading: bool, stddev: float) -> None:
-    log = with_stddev(scaled_fixes(make_drive(has_heading=has_heading), 1e-3), stddev)
-    (cause,) = check(log).causes
-    assert cause.cause == "frame"
-    assert "km" in cause.remedy
-
-
-@pytest.mark.parametrize("factor", [1e-3, 1.0 / 0.3048, 100.0, 1000.0])
-def test_track_distance_does_not_depend_on_the_unit_of_fixes(factor: float) -> None:
-    by_tracks = [check(log).facts[0].partition(",")[0] for log in (drive(), scaled_fixes(drive(), factor))]
-    assert by_tracks[0] == by_tracks[1]
-
-
-@pytest.mark.parametrize("has_heading", [True, False])
-def test_fixes_at_a_speed_of_no_machine_are_named(has_heading: bool) -> None:
-    assert names_of(scaled_fixes(make_drive(has_heading=has_heading), 100.0)) == {"frame"}
+def test_track_distance_does_not_depend_on_the_unit_of_fixes() -> None:
+    factors = (1.0, 1e-3, 1.0 / 0.3048, 100.0)
+    by_tracks = {check(scaled_fixes(drive(), factor)).facts[0].partition(",")[0] for factor in factors}
+    assert len(by_tracks) == 1
 
 
 @cache
-def hill(*, turns: bool, has_heading: bool) -> Log:
-    programme = {} if turns else {"programme": STRAIGHT}
-    return make_drive(has_heading=has_heading, slope=0.3, **programme)
+def hill(*, has_turns_and_headings: bool) -> Log:
+    programme = {} if has_turns_and_headings else {"programme": STRAIGHT}
+    return make_drive(has_heading=has_turns_and_headings, slope=0.3, **programme)
 
 
-@pytest.mark.parametrize("turns", [True, False])
-@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize("has_turns_and_headings", [True, False])
 @pytest.mark.parametrize(
     "name",
     [
@@ -240,22 +313,13 @@ def hill(*, turns: bool, has_heading: bool) -> Log:
         *("gyro axes y and z", "gyro axes x and z", "radius too large", "speed in rpm"),
     ],
 )
-def test_pitch_on_a_hill_is_no_turn(name: str, *, turns: bool, has_heading: bool) -> None:
-    log = hill(turns=turns, has_heading=has_heading)
+def test_pitch_on_a_hill_is_no_turn(name: str, *, has_turns_and_headings: bool) -> None:
+    log = hill(has_turns_and_headings=has_turns_and_headings)
     expected = {"healthy"} if name == "healthy" else {MISTAKES[name].cause}
     result = check(log if name == "healthy" else MISTAKES[name].inject(log))
     assert {cause.cause for cause in result.causes} <= expected
     if name in ("nose up", "on its side"):  # gravity is along another axis
         assert result.causes
-
-
-@pytest.mark.parametrize("has_heading", [True, False])
-def test_fixes_in_feet_are_no_unit_of_speeds(*, has_heading: bool) -> None:
-    result = check(scaled_fixes(make_drive(has_heading=has_heading), 1.0 / 0.3048))
-    assert result.causes == ()
-    (question,) = result.open_questions
-    assert "feet" in question.what
-    assert "speeds" in question.what
 
 
 @pytest.mark.parametrize("has_heading", [True, False])
@@ -298,16 +362,6 @@ def test_mirrored_fixes_of_a_drive_with_few_turns_are_not_passed_over(
     assert result.causes or any("position" in u.what or "fixes" in u.what for u in result.undetermined)
 
 
-ONE_SIDED = ((6.0, 0.0, 0.0), *4 * ((10.0, 0.9, 0.0), (4.0, 0.6, 0.4), (3.0, 0.0, 0.0)))
-
-
-def test_slip_in_turns_to_one_side_is_no_lever_arm() -> None:
-    log = make_drive(programme=ONE_SIDED, lever=(0.0, 0.0))
-    turning = np.abs(np.gradient(log.tracks.angles[:, 1] - log.tracks.angles[:, 0])) > 1e-3
-    speeds = np.where(turning[:, np.newaxis], log.tracks.speeds + 0.5, log.tracks.speeds)  # both tracks spin
-    assert names_of(replace(log, tracks=tracks_of_speeds(log.tracks.t, speeds))) == set()
-
-
 STEADY = (*4 * ((8.0, 0.9, 0.0), (4.0, 0.9, 0.4), (8.0, 0.9, 0.0), (4.0, 0.9, -0.4)),)
 
 
@@ -327,73 +381,13 @@ def test_without_fixes_slow_tracks_convict_neither_gyro_nor_signs(name: str, *, 
     assert result.undetermined
 
 
-def test_stamps_of_a_gyro_in_ms_in_the_middle_of_a_record_are_named_alone() -> None:
-    log = MISTAKES["gyro time in ms"].inject(piece(drive(), 40.0, 140.0))
-    assert names_of(log) == {"time_unit"}
-
-
-@pytest.mark.parametrize("source", ["gyros", "fixes"])
-def test_slow_source_beside_tracks_of_usual_rate_has_no_wrong_unit(source: str) -> None:
-    log = drive()
-    (one,) = getattr(log, source)
-    step = round((5.0 if source == "gyros" else 40.0) / float(np.median(np.diff(one.t))))
-    values = {f.name: getattr(one, f.name) for f in fields(one)}
-    slow = {
-        name: v[::step] for name, v in values.items() if isinstance(v, np.ndarray) and len(v) == len(one.t)
-    }
-    assert "time_unit" not in names_of(replace(log, **{source: (replace(one, **slow),)}))
-
-
-def test_day_numbers_declared_as_seconds_are_named_with_their_unit() -> None:
-    (cause,) = check(MISTAKES["time in days"].inject(drive())).causes
-    assert "unit: d}" in cause.remedy
-
-
-def test_a_machine_that_spins_most_of_the_time_has_no_wrong_unit() -> None:
-    log = piece(make_drive(stuck=60.0, has_heading=False), 70.0, 170.0)
-    assert names_of(log) == set()
-
-
-def test_sentinels_of_a_gyro_that_hardly_turns_are_named() -> None:
-    still = ((60.0, 0.0, 0.0), (4.0, 0.5, 0.3), (3.0, 0.0, 0.0))
-    assert names_of(MISTAKES["sentinels of the gyro"].inject(make_drive(programme=still))) == {
-        "missing_value"
-    }
-
-
-def far_fixes(*zeros: int) -> Log:
-    """Fixes once in 2 s, 1 km from the origin, except for those with index in ``zeros``, at the origin."""
-    log = make_drive(fix_rate=0.5, has_heading=False)
-    places = log.fixes[0].places + np.array((900.0, 400.0))
-    places[list(zeros)] = 0.0
-    return replace(log, fixes=(replace(log.fixes[0], places=places),))
-
-
-@pytest.mark.parametrize("zeros", [(10, 50), (0, 1, 2)])
-def test_fixes_at_zero_among_few_are_named(zeros: tuple[int, ...]) -> None:
-    assert names_of(far_fixes(*zeros)) == {"missing_value"}
-
-
-def test_one_repeated_wrong_fix_is_no_missing_value() -> None:
-    assert names_of(far_fixes(20, 21, 22, 23)) == set()
-
-
-def shifted(log: Log, late: float, *, has_gyro_too: bool = False) -> Log:
-    """The log with stamps of fixes and headings ``late`` s later."""
-    fixes = tuple(replace(one, t=one.t + late) for one in log.fixes)
-    compasses = tuple(replace(one, t=one.t + late) for one in log.compasses)
-    gyros = tuple(replace(one, t=one.t + late * has_gyro_too) for one in log.gyros)
-    return replace(log, fixes=fixes, compasses=compasses, gyros=gyros)
-
-
-@pytest.mark.parametrize("late", [2.6, -18.0])
 @pytest.mark.parametrize(
-    "options",
+    ("late", "options"),
     [
-        {},
-        {"has_heading": False},
-        {"slip": 0.4},
-        {"fix_rate": 1.0, "fix_stddev": 0.1, "has_heading": False},
+        (2.6, {}),
+        (-18.0, {"has_heading": False}),
+        (-18.0, {"slip": 0.4}),
+        (2.6, {"fix_rate": 1.0, "fix_stddev": 0.1, "has_heading": False}),
     ],
 )
 def test_fixes_on_another_clock_are_named_with_the_time_between(late: float, options: dict[str, Any]) -> None:
@@ -411,8 +405,7 @@ def test_another_mistake_is_named_beside_that_of_a_clock(mistake: str) -> None:
     assert causes == {"source_delay", MISTAKES[mistake].cause}
 
 
-@pytest.mark.parametrize("late", [3600.0, -7200.0])
-@pytest.mark.parametrize("has_gyro_too", [False, True])
+@pytest.mark.parametrize(("late", "has_gyro_too"), [(3600.0, False), (-7200.0, True)])
 def test_sources_without_a_time_in_common_with_the_tracks_are_named(
     late: float, *, has_gyro_too: bool
 ) -> None:
@@ -454,16 +447,6 @@ def test_fixes_that_a_log_holds_until_the_next_one_are_called_held_and_neither_f
     (cause,) = result.causes
     assert cause.cause == "position_resolution"
     assert f"about {20.0 * period:.0f} times" in cause.evidence
-
-
-@pytest.mark.parametrize("direction", [0.0, 45.0])  # deg
-def test_exchanged_latitude_and_longitude_are_no_rolling_radius(direction: float) -> None:
-    """What was east is then north, and longer: a map near the equator has longer degrees of longitude."""
-    log = make_drive(has_heading=False).with_tracks(0.9 * np.eye(2))
-    (fixes,) = log.fixes
-    z = fixes.centred_places * np.exp(1.0j * np.radians(direction))
-    swapped = np.column_stack((z.imag, z.real / np.cos(np.radians(47.0))))
-    assert names_of(replace(log, fixes=(replace(fixes, places=swapped),))) == {"position_axes_swapped"}
 
 
 def test_a_course_over_ground_is_no_heading() -> None:
@@ -519,55 +502,47 @@ QUESTIONS = {  # the mistake, the sensors, words of the question
     "rates as headings": (change_headings(np.gradient), {}, "headings of"),
     "accelerations of the gyro": (change_rates(accelerations), {}, "turns of"),
     "the same without headings ": (change_rates(accelerations), {"has_heading": False}, "turns of"),
+    "fixes in feet": (lambda log: scaled_fixes(log, 1.0 / 0.3048), {}, "fixes in feet, or speeds"),
+    "fixes in feet, no headings": (
+        lambda log: scaled_fixes(log, 1.0 / 0.3048),
+        {"has_heading": False},
+        "fixes in feet, or speeds",
+    ),
+    "tread in feet": (
+        lambda log: replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)),
+        {},
+        "tread",
+    ),
 }
+
+
+@cache
+def has_questions(*sensors: tuple[str, Any]) -> bool:
+    """Whether a drive with these sensors, and without a mistake, has open questions."""
+    return bool(check(make_drive(**dict(sensors))).open_questions)
 
 
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_certain_but_ambiguous_mistake_is_an_open_question(name: str) -> None:
     """Some mistake is certain, but the log does not determine which of several."""
     inject, sensors, words = QUESTIONS[name]
-    log = make_drive(**sensors)
-    assert check(log).open_questions == ()
-    result = check(inject(log))
+    assert not has_questions(*sensors.items())
+    result = check(inject(make_drive(**sensors)))
     assert result.causes == ()
     assert any(words in question.what for question in result.open_questions)
 
 
-def test_a_tread_in_feet_is_not_passed_over() -> None:
-    """Gyro and headings agree on turns that tracks of that tread cannot make."""
-    log = drive()
-    result = check(replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)))
-    assert result.causes == ()
-    (question,) = result.open_questions
-    assert "tread" in question.what
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("source", ["tracks", "gyro", "fixes"])
-def test_a_source_with_one_reading_in_two_seconds_is_no_mistake(source: str) -> None:
-    log = make_drive()
-    (gyro,), (fixes,), tracks = log.gyros, log.fixes, log.tracks
-    sparse = {
-        "tracks": {"tracks": Tracks(tracks.t[::100], tracks.speeds[::100], tracks.angles[::100])},
-        "gyro": {"gyros": (gyro.select(np.arange(0, len(gyro.t), 100)),)},
-        "fixes": {"fixes": (fixes.select(np.arange(0, len(fixes.t), 10)),)},
-    }
-    assert check(replace(log, **sparse[source])).causes == ()
-
-
-@pytest.mark.parametrize("rate", [1.002, 0.998])
-def test_encoders_on_a_clock_that_is_fast_or_slow_are_named(rate: float) -> None:
+def test_encoders_on_a_fast_clock_are_named() -> None:
     log = make_drive(programme=3 * PROGRAMME)
-    tracks = replace(log.tracks, t=rate * log.tracks.t)
+    tracks = replace(log.tracks, t=0.998 * log.tracks.t)
     (cause,) = check(replace(log, tracks=tracks)).causes
     assert (cause.cause, cause.source) == ("source_delay", "sprockets")
     assert "drift" in cause.evidence
 
 
-@pytest.mark.parametrize("rate", [1.002, 0.998])
-def test_clock_drift_between_two_sources_is_an_open_question(rate: float) -> None:
+def test_clock_drift_between_two_sources_is_an_open_question() -> None:
     log = make_drive(programme=3 * PROGRAMME, has_heading=False)
-    result = check(replace(log, tracks=replace(log.tracks, t=rate * log.tracks.t)))
+    result = check(replace(log, tracks=replace(log.tracks, t=1.002 * log.tracks.t)))
     assert result.causes == ()
     assert any("drift apart" in question.what for question in result.open_questions)
 
@@ -576,8 +551,8 @@ def test_of_two_sources_that_may_be_delayed_the_first_is_named() -> None:
     """The order of a set of topics would depend on PYTHONHASHSEED."""
     for k in range(16):
         delays = [SourceDelay(f"first_{k}", f"second_{k}", 0.5, 0.02), SourceDelay("imu", "fixes", 0.0, 0.02)]
-        causes, (question,) = judge_delays(delays)
-        assert not causes
+        (question,) = judge_delays(delays)
+        assert isinstance(question, OpenQuestion)
         assert question.what == f"first_{k} is off by 0.50 s against one other source only"
 
 
@@ -601,9 +576,6 @@ def test_stamps_that_are_cut_to_whole_seconds_are_named(step: float, expected: l
     assert [(c.cause, words in c.evidence) for c, words in zip(causes, expected, strict=True)] == [
         ("time_unit", True)
     ] * len(expected)
-
-
-def test_readings_once_a_second_that_are_recorded_twice_have_whole_stamps() -> None:
     assert "time_unit" not in names_of(log_of_cut_stamps(1.0, has_copies=True))
 
 
@@ -617,14 +589,6 @@ def test_fixes_that_are_coarser_than_they_state_are_named(step: float, expected:
     causes = {cause.cause: cause.remedy for cause in check(replace(log, fixes=(coarse,))).causes}
     assert list(causes) == expected
     assert all("position_floor=0.32" in remedy for remedy in causes.values())
-
-
-def test_fixes_whose_lag_varies_are_not_called_late() -> None:
-    log = make_drive(has_heading=False)
-    (one,) = log.fixes
-    lag = 0.6 + 0.4 * np.sin(2.0 * np.pi * one.t / 120.0)
-    places = [np.interp(one.t - lag, one.t, column) for column in one.places.T]
-    assert names_of(replace(log, fixes=(replace(one, places=np.column_stack(places)),))) == set()
 
 
 def test_a_lever_arm_of_a_swinging_sensor_is_left_open() -> None:

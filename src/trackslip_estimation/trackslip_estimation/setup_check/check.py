@@ -8,31 +8,30 @@ delays, radius, lever arms, offsets.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds, unmoved
-from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
-from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
     LEAST_ODDS,
     READ_OFF,
     Cause,
+    Finding,
+    Findings,
     MeasuredValue,
     OpenQuestion,
     Result,
     odds_of,
 )
 from trackslip_estimation.setup_check.fit import Lever, segment_scales
-from trackslip_estimation.setup_check.grid import WINDOW, make_grid, window_sums
-from trackslip_estimation.setup_check.gyro_scale import judge_scale
+from trackslip_estimation.setup_check.grid import WINDOW, make_grid, running_sum, window_sums
 from trackslip_estimation.setup_check.heading import heading_unit
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
-from trackslip_estimation.setup_check.missing_values import MissingValue, remove_missing
+from trackslip_estimation.setup_check.missing_values import remove_missing
 from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns, turn_scale
@@ -48,26 +47,9 @@ _SLIDING_QUESTION = OpenQuestion(
 )
 
 
-@dataclass
-class _Findings:
-    """Causes, open questions and measured values of the steps so far."""
-
-    causes: list[Cause] = field(default_factory=list)
-    undetermined: list[OpenQuestion] = field(default_factory=list)
-    measured: list[MeasuredValue] = field(default_factory=list)
-
-    def has_cause(self, name: str) -> bool:
-        """Whether a cause of this name was found."""
-        return any(cause.cause == name for cause in self.causes)
-
-    def add(self, causes: Sequence[Cause], undetermined: Sequence[OpenQuestion] = ()) -> None:
-        self.causes += causes
-        self.undetermined += undetermined
-
-
 def check(log: Log) -> Result:
     """Causes, those with the highest odds first, and what the log cannot decide."""
-    findings = _Findings()
+    findings = Findings()
     with np.errstate(all="ignore"):
         facts = _run_steps(log, findings)
     causes = [cause for cause in findings.causes if cause.odds >= LEAST_ODDS]
@@ -76,22 +58,22 @@ def check(log: Log) -> Result:
     return Result(tuple(causes), questions, tuple(facts), tuple(findings.measured))
 
 
-def _run_steps(log: Log, findings: _Findings) -> list[str]:
-    findings.add([_unusable_cause(name, count) for name, count in log.unusable.items()])
-    log, missing = remove_missing(log)
-    findings.add([_missing_cause(value) for value in missing])
+def _run_steps(log: Log, findings: Findings) -> list[str]:
+    findings.add(_unusable_cause(name, count) for name, count in log.unusable.items())
+    log, causes = remove_missing(log)
+    findings.add(causes)
     log, causes = clocks.correct_time_units(log)
     causes += clocks.judge_fractions(log)
     findings.add(causes)
     if not causes:  # else the log may lack the sources in another unit
-        log, causes = with_common_clock(log)
+        log, causes = clocks.with_common_clock(log)
         findings.add(causes)
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
     fixes, causes = places.drop_held(log.fixes)
     findings.add(causes)
     log = replace(log, fixes=tuple(with_measured_noise(source) for source in fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
-        findings.add([], [_STANDSTILL_QUESTION])
+        findings.add([_STANDSTILL_QUESTION])
         return []
     log, drive = _correct_quantities(log, findings)
     rough = speeds.rough_scale(drive)
@@ -100,60 +82,46 @@ def _run_steps(log: Log, findings: _Findings) -> list[str]:
     gyro_result = _examine_first_gyro(drive, log, findings, is_unit_known=bool(np.isfinite(rough)))
     is_unclear = gyro_result.unit != 1.0 or gyro_result.is_contradicted
     drive = gyro_result.drive if is_unclear else _remove_wrong_headings(gyro_result.drive, findings)
-    causes, open_questions = clocks.judge_drift(drive)
-    findings.add(causes, open_questions)
-    if causes or open_questions:  # a drifting clock changes all relations between sources
+    if drift := clocks.judge_drift(drive):  # changes all relations between sources
+        findings.add(drift)
         return summary_lines(log, drive, unit)
-    findings.add([], unmoved.judge_turns(drive))
+    findings.add(unmoved.judge_turns(drive))
     if questions := unmoved.judge_counting(drive):  # unsigned counts give no path
-        findings.add([], questions)
+        findings.add(questions)
         return summary_lines(log, drive, unit)
     comparison = (
         sides.TracksResult(None) if gyro_result.is_contradicted else sides.compare_tracks(drive, unit)
     )
-    if any(cause.cause == "frame" for cause in comparison.causes):  # the wrong unit explains the distance
-        findings.causes = [cause for cause in findings.causes if cause.cause != "datum"]
-    findings.add(comparison.causes, comparison.undetermined)
+    if comparison.has_wrong_frame:  # which explains the distance from the map
+        findings.withdraw("datum")
+    findings.add(comparison.findings)
     if comparison.drive is None:
         return summary_lines(log, drive, unit)
-    directions = decide_signs(comparison.drive, is_upside_down=gyro_result.is_upside_down)
-    findings.add(directions.causes, directions.undetermined)
+    directions = signs.decide_signs(comparison.drive, is_upside_down=gyro_result.is_upside_down)
+    findings.add(directions.findings)
     corrected = directions.correct_signs(comparison.drive)
     if directions.is_decided:
         _judge_continuous(corrected, unit, gyro_result.unit, findings)
     return summary_lines(log, corrected, unit)
 
 
-def _correct_quantities(log: Log, findings: _Findings) -> tuple[Log, Drive]:
+def _correct_quantities(log: Log, findings: Findings) -> tuple[Log, Drive]:
     """The log with its columns as the right quantities; a drive without gyro, and without wrong fixes."""
     drive, quantity = judge_quantity(Drive.from_sources(log, _first_gyro(log), *_primary_sources(log)))
-    findings.add([] if quantity is None else [quantity])
-    counts = None if findings.has_cause("speed_unit") else judge_counts(log.counts)
-    findings.add([] if counts is None else [counts])
+    findings.add(quantity)
+    findings.add([] if findings.has_cause("speed_unit") else judge_counts(log.counts))
     log = replace(log, tracks=drive.log.tracks)
     log = log if drive.gyro is None else log.with_gyro(drive.gyro)
-    causes, questions = unmoved.judge_fixes(drive)
-    findings.add(causes, questions)
-    return log, Drive.from_sources(log, None, None if causes else drive.fixes, drive.compass)
+    found = unmoved.judge_fixes(drive)
+    findings.add(found)
+    is_wrong = any(isinstance(one, Cause) for one in found)
+    return log, Drive.from_sources(log, None, None if is_wrong else drive.fixes, drive.compass)
 
 
 def _unusable_cause(name: str, count: int) -> Cause:
     evidence = f"none of {count} readings of {name} is valid: values not finite, or variances not above 0"
     remedy = "Let its driver state values and covariance; of a log, trackslip import takes stddev: {x: …}"
     return Cause("invalid_readings", name, evidence, READ_OFF, remedy)
-
-
-def _missing_cause(missing: MissingValue) -> Cause:
-    evidence = (
-        f"{missing.column} jumps to {missing.value:g} and back {missing.count} times "
-        f"({missing.share:.1%} of the readings)"
-    )
-    remedy = (
-        "Leave out what stands for a missing value: blank cells, or in the "
-        f"mapping 'missing: {missing.value:g}' at that column"
-    )
-    odds = odds_of(min(missing.count * missing.numbers, 20) * 2.0)
-    return Cause("missing_value", missing.source, evidence, odds, remedy)
 
 
 def _primary_sources(log: Log) -> tuple[Fixes | None, Compass | None]:
@@ -171,24 +139,24 @@ def _first_gyro(log: Log) -> Gyro | None:
 
 
 def _examine_first_gyro(
-    drive: Drive, log: Log, findings: _Findings, *, is_unit_known: bool
+    drive: Drive, log: Log, findings: Findings, *, is_unit_known: bool
 ) -> inertial.GyroResult:
     """Result for the first gyro of the log that has readings."""
     gyro = _first_gyro(log)
     if gyro is None:
         return inertial.GyroResult(drive)
     result = inertial.examine_gyro(drive, gyro, is_unit_known=is_unit_known)
-    findings.add(result.causes, result.undetermined)
+    findings.add(result.findings)
     return result
 
 
-def _remove_wrong_headings(drive: Drive, findings: _Findings) -> Drive:
+def _remove_wrong_headings(drive: Drive, findings: Findings) -> Drive:
     """The drive without its headings if they are not in rad; that becomes a cause."""
     compass = drive.compass
     if compass is None or drive.gyro is None:
         return drive
     scale = turn_scale(drive.turn, drive.tracks_over_tread)
-    gyro_angles = np.concatenate(([0.0], np.cumsum(np.nan_to_num(drive.gyro_turn))))
+    gyro_angles = running_sum(np.nan_to_num(drive.gyro_turn))
     factor, gain = heading_unit(compass, drive.grid.edges, gyro_angles)
     is_known = count_turns(drive.turn - drive.turn_fit.bias * WINDOW) >= LEAST_TURNS
     is_known &= float(drive.turn_fit.logs.max()) > _UNIT_GAIN
@@ -205,38 +173,35 @@ def _remove_wrong_headings(drive: Drive, findings: _Findings) -> Drive:
     return Drive.from_sources(drive.log, drive.gyro, drive.fixes, None)
 
 
-def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, findings: _Findings) -> None:
+def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, findings: Findings) -> None:
     """Judge quantities with an interval; ``drive`` has right signs and right units of speeds and gyro."""
     delays = clocks.measure_delays(drive)
     lever = _fit_lever_arm(drive, delays)
     delay = _judge_delays(delays, lever, drive.fixes, findings)
     if delay is not None:
         drive = clocks.remove_delay(drive, delay)
-    scale = judge_scale(drive, gyro_unit, lever)
+    scale = inertial.judge_scale(drive, gyro_unit, lever)
     if scale is not None:
-        # replaces a unit
-        findings.causes = [cause for cause in findings.causes if cause.cause != scale.cause]
+        findings.withdraw(scale.cause)  # a unit
         findings.add([scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
-        findings.add([], [OpenQuestion("rolling radius and unit of the speeds", needed)])
+        findings.add([OpenQuestion("rolling radius and unit of the speeds", needed)])
         return
     if findings.has_cause("position_axes_swapped"):  # their scales are exchanged too
         return
     if places.is_sliding(drive):
-        findings.add([], [_SLIDING_QUESTION])
+        findings.add([_SLIDING_QUESTION])
         return
     if not findings.has_cause("speed_unit") and not _judge_distance(drive, drive.fixes, unit, findings):
         return  # a lever arm needs the unit of the fixes
     if drive.gyro is not None and delay is None and scale is None:
-        findings.add(*places.judge_lever(lever, drive.fixes, drive.machine))
-    findings.add([], places.judge_direction(drive))
+        findings.add(places.judge_lever(lever, drive.fixes, drive.machine))
+    findings.add(places.judge_direction(drive))
     if lever is not None and max(lever.stddevs) < 0.3:
-        findings.measured += _measured_lever_arms(lever, drive.fixes)
+        findings.add(_measured_lever_arms(lever, drive.fixes))
     if drive.compass is not None:
-        offsets, questions, offset = places.judge_offset(drive, drive.compass)
-        findings.add(offsets, questions)
-        findings.measured += [] if offset is None else [offset]
+        findings.add(places.judge_offset(drive, drive.compass))
 
 
 def _fit_lever_arm(drive: Drive, delays: Sequence[clocks.SourceDelay]) -> Lever | None:
@@ -249,36 +214,38 @@ def _fit_lever_arm(drive: Drive, delays: Sequence[clocks.SourceDelay]) -> Lever 
 
 
 def _judge_delays(
-    delays: list[clocks.SourceDelay], lever: Lever | None, fixes: Fixes | None, findings: _Findings
+    delays: list[clocks.SourceDelay], lever: Lever | None, fixes: Fixes | None, findings: Findings
 ) -> clocks.SourceDelay | None:
     """The delayed source, unless a lever arm explains its path: in turns, both shift fixes along the path."""
-    findings.measured += [
+    findings.add(
         _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
-    ]
-    is_known = findings.has_cause("time_unit") or findings.has_cause("source_delay")
-    causes, questions = ([], []) if is_known else clocks.judge_delays(delays)
-    delay = clocks.most_precise_delay(causes[0].source, delays) if causes else None
+    )
+    if findings.has_cause("time_unit") or findings.has_cause("source_delay"):
+        return None
+    found = clocks.judge_delays(delays)
+    late = next((one.source for one in found if isinstance(one, Cause)), None)
+    delay = None if late is None else clocks.most_precise_delay(late, delays)
     if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:
         advantage = delay.gain - (0.0 if lever is None else lever.log_ratio)
-        if abs(advantage) < _UNIT_GAIN:
-            what = f"{delay.second}: late, or a lever arm"
-            questions.append(OpenQuestion(what, "turn on the spot, and stop and start on straights"))
         if advantage < _UNIT_GAIN:
-            causes, delay = [], None
-    findings.add(causes, questions)
+            found, delay = [], None
+        if abs(advantage) < _UNIT_GAIN:
+            what = f"{fixes.name}: late, or a lever arm"
+            found = [OpenQuestion(what, "turn on the spot, and stop and start on straights")]
+    findings.add(found)
     return delay
 
 
-def _judge_distance(drive: Drive, fixes: Fixes, unit: float, findings: _Findings) -> bool:
+def _judge_distance(drive: Drive, fixes: Fixes, unit: float, findings: Findings) -> bool:
     """Judge distance by tracks against distance by fixes; False if the unit of the fixes may be wrong."""
     fit, thin = drive.turn_fit, thin_fixes(fixes, 0.2)
     all_scales = [segment_scales(drive.path, thin, length) for length in _SEGMENTS]
     best = max((scales for scales in all_scales if scales is not None), key=speeds.piece_counts, default=None)
     is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not findings.has_cause("gyro_unit")
     turn_ratio = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit if is_known else float("nan")
-    causes, questions = speeds.judge_distance(best, drive.log, unit, drive.distance_by_fixes, turn_ratio)
-    findings.add(causes, questions)
-    return not any(question.is_wrong for question in questions)
+    found = speeds.judge_distance(best, drive.log, unit, drive.distance_by_fixes, turn_ratio)
+    findings.add(found)
+    return not any(isinstance(one, OpenQuestion) and one.is_wrong for one in found)
 
 
 def _measured_delay(delay: clocks.SourceDelay) -> MeasuredValue:
@@ -288,7 +255,7 @@ def _measured_delay(delay: clocks.SourceDelay) -> MeasuredValue:
     )
 
 
-def _measured_lever_arms(lever: Lever, fixes: Fixes) -> list[MeasuredValue]:
+def _measured_lever_arms(lever: Lever, fixes: Fixes) -> list[Finding]:
     values = fixes.lever[0] + lever.value.real, fixes.lever[1] + lever.value.imag
     basis = f"{np.degrees(lever.turned):.0f}° of turns"
     return [
@@ -314,8 +281,7 @@ def summary_lines(log: Log, drive: Drive, unit: float) -> list[str]:
         turns[f"the heading of {drive.compass.name}"] = drive.heading_turn
     turned = [f"{np.degrees(np.nansum(np.abs(turn))):.0f}° by {name}" for name, turn in turns.items()]
     lines.append(f"turned: {', '.join(turned)}")
-    series = [(clocks.TRACKS, log.tracks.t), *((g.name, g.t) for g in log.gyros)]
-    series += [(f.name, f.t) for f in log.fixes]
-    rates = [f"{name} {1.0 / float(np.median(np.diff(t))):.3g} Hz" for name, t in series if len(t) > 2]
+    series = [(name, t) for name, _, t in clocks.source_stamps(log) if len(t) > 2]
+    rates = [f"{name} {1.0 / float(np.median(np.diff(t))):.3g} Hz" for name, t in series]
     lines.append(f"rates: {', '.join(rates)}")
     return lines

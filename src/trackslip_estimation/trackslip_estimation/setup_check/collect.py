@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray, Rows
+from trackslip_estimation.setup_check.clocks import LARGEST_DELAY
 from trackslip_estimation.setup_check.count_angle import angle_of_count
-from trackslip_estimation.setup_check.delay import LARGEST_DELAY
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters

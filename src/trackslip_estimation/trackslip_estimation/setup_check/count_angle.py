@@ -10,7 +10,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.finding import READ_OFF, Cause
+from trackslip_estimation.setup_check.finding import READ_OFF, Cause, Finding
 from trackslip_estimation.setup_check.log import Counts
 
 _ROUNDING_SHARE = 1e-9  # of the largest change: floating-point rounding
@@ -70,13 +70,13 @@ def rounding_of(places: FloatArray, stated: float) -> float:
     return least_change(np.diff(least * np.round(places / least))) / float(np.sqrt(12.0))
 
 
-def judge_counts(counts: Counts) -> Cause | None:
+def judge_counts(counts: Counts) -> list[Finding]:
     """A count that is stated far too small: the estimator takes single counts for jumps then."""
     if counts.measured < _LEAST_COUNT_ANGLE or counts.stated * _LEAST_ANGLE_RATIO > counts.measured:
-        return None
+        return []
     evidence = (
         f"the sprockets turn by {counts.measured:.3g} rad at the least, and a count is stated to be "
         f"{counts.stated:.3g} rad"
     )
     remedy = f"Set {remedies.parameter('encoder_resolution', counts.measured)}"
-    return Cause("encoder_resolution", "sprockets", evidence, READ_OFF, remedy)
+    return [Cause("encoder_resolution", "sprockets", evidence, READ_OFF, remedy)]

@@ -20,6 +20,7 @@ from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Mach
 from trackslip_estimation.setup_check.path import Path, PathFits, compare_paths, dead_reckoning, thin_fixes
 from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, known_windows, median_bias
 
+DISTANCES = (np.array((1.0, 1.0)), np.array((1.0, -1.0)))  # signs of both tracks, up to a common one
 USUAL_EFFICIENCY = 0.7  # κ, turning efficiency, where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
 _FIX_SPACING = 0.5  # s, between fixes that are compared with paths
@@ -44,10 +45,6 @@ class Drive:
     def with_gyro(self, gyro: Gyro | None) -> "Drive":
         """The drive with another version of the gyro, or none."""
         return Drive.from_sources(self.log, gyro, self.fixes, self.compass)
-
-    def without_fixes(self) -> "Drive":
-        """The drive with tracks, gyro and headings only."""
-        return Drive.from_sources(self.log, self.gyro, None, self.compass)
 
     @property
     def machine(self) -> Machine:
@@ -113,7 +110,7 @@ class Drive:
         """(w,) distance by the fixes, m; nan where there is none."""
         if self.fixes is None:
             return np.full(len(self.tracks_over_tread), np.nan)
-        return np.asarray(np.hypot(*window_displacements(self.fixes, self.grid).T))
+        return np.abs(window_displacements(self.fixes, self.grid))
 
     @property
     def distance_by_fixes(self) -> float:

@@ -3,8 +3,9 @@
 """Findings of the setup check: causes with evidence, odds and remedy; questions that the log leaves open."""
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 LEAST_ODDS = 100.0  # to 1, below which no cause is reported
 LEAST_LOG = math.log(LEAST_ODDS)
@@ -63,6 +64,36 @@ class MeasuredValue:
     half_width: float  # of the 95 % interval
     unit: str
     basis: str
+
+
+Finding: TypeAlias = Cause | OpenQuestion | MeasuredValue
+
+
+@dataclass
+class Findings:
+    """Findings of the steps so far, by kind."""
+
+    causes: list[Cause] = field(default_factory=list)
+    undetermined: list[OpenQuestion] = field(default_factory=list)
+    measured: list[MeasuredValue] = field(default_factory=list)
+
+    def add(self, found: Iterable[Finding]) -> None:
+        """Append each finding to those of its kind."""
+        for one in found:
+            if isinstance(one, Cause):
+                self.causes.append(one)
+            elif isinstance(one, OpenQuestion):
+                self.undetermined.append(one)
+            else:
+                self.measured.append(one)
+
+    def has_cause(self, name: str) -> bool:
+        """Whether a cause of this name was found."""
+        return any(cause.cause == name for cause in self.causes)
+
+    def withdraw(self, name: str) -> None:
+        """Drop the causes of this name: a later step explains them better."""
+        self.causes = [cause for cause in self.causes if cause.cause != name]
 
 
 @dataclass(frozen=True)

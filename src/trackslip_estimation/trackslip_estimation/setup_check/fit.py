@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_estimation.setup_check.grid import running_sum
 from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, degrees_of_freedom, segments
 
@@ -53,7 +54,7 @@ def segment_scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
     c = moments.product(q, z) / of_q
     extent = np.sqrt(of_q / moments.counts)
     begin, end = parts[:, 0], parts[:, 1] - 1
-    distance = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.places)))))
+    distance = running_sum(np.abs(np.diff(path.places)))
     distance = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
     wide = (np.sqrt(of_z / moments.counts) > max(6.0 * fixes.noise, 0.25)) & (distance > 0.3)
     wide &= np.abs(c) * np.sqrt(of_q) > _LEAST_CORRELATION * np.sqrt(of_z)
@@ -139,8 +140,8 @@ def _normal_equations(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Norma
 def _turn_path(path: Path, t: FloatArray) -> ComplexArray:
     """(n,) ∫ e^{iψ} |dψ|: places of a machine that drives 1 m per radian."""
     middle = (path.headings[1:] + path.headings[:-1]) / 2.0
-    places = np.concatenate(([0.0], np.cumsum(np.exp(1j * middle) * np.abs(np.diff(path.headings)))))
-    return np.asarray(np.interp(t, path.edges, places.real) + 1j * np.interp(t, path.edges, places.imag))
+    places = running_sum(np.exp(1j * middle) * np.abs(np.diff(path.headings)))
+    return np.asarray(np.interp(t, path.edges, places))
 
 
 def _delay_derivative(path: Path, fixes: Fixes) -> ComplexArray:

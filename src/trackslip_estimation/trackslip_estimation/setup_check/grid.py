@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
-from trackslip_estimation.setup_check.log import Gyro, Log, Tracks
+from trackslip_estimation.setup_check.log import Array, Gyro, Log, Tracks
 
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
@@ -73,6 +73,11 @@ def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
     steps = np.where(np.diff(t) <= LONGEST_GAP, np.diff(t), 0.0)[:, np.newaxis]
     means = (rates[1:] + rates[:-1]) / 2.0
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(means * steps, axis=0)))
+
+
+def running_sum(values: Array) -> Array:
+    """(n + 1,) sums of the first 0 to n of (n,) values."""
+    return np.concatenate(([0.0], np.cumsum(values)))
 
 
 def tracks_of_speeds(t: FloatArray, speeds: FloatArray) -> Tracks:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_sums
-from trackslip_estimation.setup_check.log import Compass, Fixes
+from trackslip_estimation.setup_check.log import Array, Compass, ComplexArray, Fixes
 from trackslip_estimation.setup_check.turning import log_mixture_density
 
 _HEADING_NOISE = 0.05  # rad, of a difference of headings in a window
@@ -22,6 +22,7 @@ _TURN_SHARE = 0.1  # standard deviation, share of the turn
 _LEAST_WINDOWS = 3
 _COURSE_STDDEV = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
 _LEAST_STEP = 0.3  # m in a window
+_LONGEST_STEP = 2.0 * LONGEST_GAP + 1e-3  # s between readings that are interpolated; stamps are rounded
 _MOST_TURN = 0.35  # rad in a window, largest turn of a straight step
 _DEGREES = float(np.degrees(1.0))
 _STEP_NOISE = 0.03  # rad, of a difference of neighbouring headings
@@ -42,28 +43,26 @@ class Courses(NamedTuple):
 def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
     """(n,) headings at times t, rad; nan where no heading is near."""
     is_finite = np.isfinite(compass.headings)
-    times, headings = compass.t[is_finite], np.unwrap(compass.headings[is_finite])
+    return _interpolate(t, compass.t[is_finite], np.unwrap(compass.headings[is_finite]))
+
+
+def place_at(fixes: Fixes, t: FloatArray) -> ComplexArray:
+    """(n,) places at times t, m; nan where no fix is near."""
+    return _interpolate(t, fixes.t, fixes.complex_places)
+
+
+def _interpolate(t: FloatArray, times: FloatArray, values: Array) -> Array:
+    """(n,) values at times t, of (m,) values at ``times``; nan where these are too far apart."""
     if len(times) < 2:
-        return np.full(len(t), np.nan)
+        return np.full(len(t), np.nan, values.dtype)
     after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
-    near = (times[after] - times[after - 1] <= 2.0 * LONGEST_GAP) & (t >= times[0]) & (t <= times[-1])
-    return np.where(near, np.interp(t, times, headings), np.nan)
+    is_near = (times[after] - times[after - 1] <= _LONGEST_STEP) & (t >= times[0]) & (t <= times[-1])
+    return np.where(is_near, np.interp(t, times, values), np.nan)
 
 
-def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
-    """(n, 2) places at times t, m; nan where no fix is near."""
-    if len(fixes.t) < 2:
-        return np.full((len(t), 2), np.nan)
-    after = np.clip(np.searchsorted(fixes.t, t), 1, len(fixes.t) - 1)
-    near = (fixes.t[after] - fixes.t[after - 1] <= 2.0 * LONGEST_GAP + 1e-3) & (t >= fixes.t[0])
-    near &= t <= fixes.t[-1]
-    places = np.column_stack([np.interp(t, fixes.t, column) for column in fixes.places.T])
-    return np.where(near[:, np.newaxis], places, np.nan)
-
-
-def window_displacements(fixes: Fixes, grid: Grid) -> FloatArray:
-    """(w, 2) displacements in windows, m; nan where there is no fix."""
-    return np.diff(place_at(fixes, grid.window_edges), axis=0)
+def window_displacements(fixes: Fixes, grid: Grid) -> ComplexArray:
+    """(w,) displacements in windows, m; nan where there is no fix."""
+    return np.diff(place_at(fixes, grid.window_edges))
 
 
 def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArray:
@@ -89,11 +88,11 @@ def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArra
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
     """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
     edges, steps = grid.window_edges, window_displacements(fixes, grid)
-    turns, distance = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
+    turns, distance = np.abs(window_sums(grid, turn)), np.abs(steps)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
     is_far = distance > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
     index = np.flatnonzero(is_far & (turns < _MOST_TURN) & np.isfinite(middle))
-    return Courses(np.arctan2(steps[index, 1], steps[index, 0]), middle[index], index)
+    return Courses(np.angle(steps[index]), middle[index], index)
 
 
 def direction_log(differences: FloatArray) -> float:

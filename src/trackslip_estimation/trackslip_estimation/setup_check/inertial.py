@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial unit against the tracks: a large bias, a wrong unit, or a wrong mounting."""
+"""The inertial unit: a wrong mounting, unit or scale, or a large bias, by tracks, headings and fixes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -9,14 +10,12 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
-from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
-from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
+from trackslip_estimation.setup_check.drive import DISTANCES, HEADING_NOISE, Drive
+from trackslip_estimation.setup_check.finding import PRIOR, Cause, Finding, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.fit import Lever
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
-from trackslip_estimation.setup_check.gyro_scale import heading_logs, path_logs
 from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
-from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.turning import (
     LEAST_TURNS,
     PATTERNS,
@@ -26,9 +25,11 @@ from trackslip_estimation.setup_check.turning import (
     known_windows,
     log_mixture_density,
     median_bias,
+    robust_stddev,
     standstill_windows,
     turn_scale,
 )
+from trackslip_estimation.setup_check.unmoved import frozen_cause, frozen_share
 
 UNITS = {  # reading per rad/s, by true and declared unit
     "deg/s, declared rad/s": np.degrees(1.0),
@@ -61,14 +62,17 @@ _AXES = "xyz"
 _MOST_FROZEN_SHARE = 0.5  # share of the recording
 _LEAST_AXIS = 5  # windows in which an axis was recorded
 
+_SCALES = (np.geomspace(0.42, 1 / 0.42, 19), np.geomspace(0.08, 1 / 0.08, 53))  # near ones first
+_MOST_LOG_SCALE = np.log(1.11)  # largest magnitude of the ln scale of a gyro without a fault
+_LEAST_SEGMENTS = 3  # of the path
+
 
 @dataclass(frozen=True)
 class GyroResult:
-    """Causes, and the drive with them undone."""
+    """Findings, and the drive with their causes undone."""
 
     drive: Drive  # without a gyro where that shows no turns
-    causes: tuple[Cause, ...] = ()
-    undetermined: tuple[OpenQuestion, ...] = ()
+    findings: tuple[Finding, ...] = ()
     unit: float = 1.0  # reading per rad/s, undone in ``drive``
     is_upside_down: bool = False
     is_contradicted: bool = False  # the unit of gyro or tracks is wrong; the log does not show which
@@ -81,10 +85,10 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
     frozen = frozen_cause(drive, gyro)
     if frozen is not None:
         return GyroResult(drive.with_gyro(None), (frozen,))
-    gyro, axis_cause = _find_vertical_axis(drive, gyro, gravity)
+    gyro, found = _find_vertical_axis(drive, gyro, gravity)
     drive = drive.with_gyro(gyro)
-    factor, unit_cause, questions = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
-    causes = tuple(cause for cause in (axis_cause, unit_cause) if cause is not None)
+    factor, unit_findings = _judge_unit(drive, gyro, is_unit_known=is_unit_known)
+    found += unit_findings
     gyro = replace(gyro, rates=gyro.rates / factor)
     drive = drive.with_gyro(gyro)
     turn, tracks = drive.turn, drive.tracks_over_tread
@@ -100,19 +104,18 @@ def examine_gyro(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> GyroResult
         else:
             what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
             needed = "turn left and right by 90° once each, with fixes"
-        questions.append(OpenQuestion(what, needed, is_wrong=True))
-        return GyroResult(drive.with_gyro(None), causes, tuple(questions), is_contradicted=not is_unit_known)
+        found.append(OpenQuestion(what, needed, is_wrong=True))
+        return GyroResult(drive.with_gyro(None), tuple(found), is_contradicted=not is_unit_known)
     if (
-        unit_cause is None
+        factor == 1.0
         and not drive.is_swing_unknown
         and frozen_share(gyro) < _MOST_FROZEN_SHARE
         and _is_unit_confirmed(drive)
     ):
-        bias_cause = _judge_bias(drive, gyro)
-        causes += () if bias_cause is None else (bias_cause,)
+        found += _judge_bias(drive, gyro)
     has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
     is_upside_down = gravity is not None and gravity[2] < -0.8 and has_rates
-    return GyroResult(drive, causes, tuple(questions), factor, is_upside_down)
+    return GyroResult(drive, tuple(found), factor, is_upside_down)
 
 
 def _confirming_odometer(drive: Drive, scale: float) -> str:
@@ -140,7 +143,7 @@ def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
 
 
-def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
+def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, list[Finding]]:
     """The gyro with its vertical axis as z, and the cause if that is another axis.
 
     No machine lies on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
@@ -151,7 +154,7 @@ def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) ->
     best = int(np.argmax(axes.gains))
     is_known = np.isfinite(axes.gains).any() and frozen_share(gyro) <= _MOST_FROZEN_SHARE
     if not is_known or best == 2 or axes.by_tracks[2] > _LEAST_GAIN:
-        return gyro, None
+        return gyro, []
     vertical = None if gravity is None else int(np.argmax(np.abs(gravity)))
     if gravity is not None and vertical in (0, 1) and np.isfinite(turns[:, vertical]).sum() >= _LEAST_AXIS:
         log_ratio = max(float(axes.gains[vertical] - max(axes.gains[2], 0.0)), 0.0) + _AXIS_GAIN
@@ -164,7 +167,7 @@ def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) ->
     spans = [_heading_range(turns[:, axis] / axes.units[best], x) for axis in (best, 2)]
     most = _MOST_TILT if gravity is None else min(2.0 * _tilt_range(gyro) + _TILT_NOISE, _MOST_TILT)
     if log_ratio < _AXIS_GAIN or spans[0] < most or spans[1] > min(most, 0.5 * spans[0]):
-        return gyro, None
+        return gyro, []
     evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z"
     return _remount(gyro, rotation_to_vertical(best, 1.0), "gyro_axis", evidence, log_ratio)
 
@@ -193,14 +196,12 @@ def _axis_gains(turns: FloatArray, x: FloatArray, heading_turn: FloatArray) -> _
 
 def _remount(
     gyro: Gyro, correction: FloatArray, name: str, evidence: str, log_ratio: float
-) -> tuple[Gyro, Cause]:
+) -> tuple[Gyro, list[Finding]]:
     """The gyro with ``correction`` (3, 3) applied, and the cause."""
-    remounted = replace(
-        gyro, rates=gyro.rates @ correction.T, accelerations=gyro.accelerations @ correction.T
-    )
-    return remounted, Cause(
-        name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, correction)
-    )
+    rates, accelerations = gyro.rates @ correction.T, gyro.accelerations @ correction.T
+    remedy = remedies.mounting(gyro, correction)
+    cause = Cause(name, gyro.name, evidence, odds_of(log_ratio), remedy)
+    return replace(gyro, rates=rates, accelerations=accelerations), [cause]
 
 
 def _heading_range(turn: FloatArray, x: FloatArray) -> float:
@@ -263,10 +264,8 @@ def _is_usual(efficiency: float) -> bool:
     return EFFICIENCY[0] <= efficiency <= EFFICIENCY[1]
 
 
-def _judge_unit(
-    drive: Drive, gyro: Gyro, *, is_unit_known: bool
-) -> tuple[float, Cause | None, list[OpenQuestion]]:
-    """Factor of the gyro's unit by the tracks, confirmed by headings or the path of the fixes.
+def _judge_unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, list[Finding]]:
+    """Factor of the gyro's unit by the tracks, confirmed by headings or the path of the fixes; its finding.
 
     Without these two: tracks that turn more than the gyro may slip. Tracks that turn less may have a wrong
     unit, unless the distance of the fixes shows theirs, or no machine turns as fast as the gyro.
@@ -275,24 +274,24 @@ def _judge_unit(
     scale = turn_scale(turn, x)
     name, factor = _fitting_unit(scale, _scale_by_heading(drive))
     if factor == 1.0:
-        return 1.0, None, []
+        return 1.0, []
     gain = float(fit_turns(turn, x, factor).logs.max())
     if count_turns(turn / factor) < LEAST_TURNS:
-        return 1.0, None, []
+        return 1.0, []
     log_ratio = _unit_log_ratio(drive, factor)
     if log_ratio is None and factor > 1.0 and not is_unit_known and not _is_too_fast(turn):
-        return 1.0, None, []
+        return 1.0, []
     if log_ratio is None and factor < 1.0:
         what = f"gyro that shows {scale:.3g} of what the tracks turn: tracks that slip, or {name}"
-        return 1.0, None, [OpenQuestion(what, "record fixes while you turn left and right by 90° once each")]
+        return 1.0, [OpenQuestion(what, "record fixes while you turn left and right by 90° once each")]
     total = gain if log_ratio is None else max(gain, 0.0) + log_ratio
     if gain < _TRACK_GAIN or (log_ratio is not None and log_ratio < _LEAST_GAIN) or total < _LEAST_GAIN:
-        return 1.0, None, []
+        return 1.0, []
     evidence = (
         f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
     )
-    cause = Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedies.gyro_scale(gyro, factor))
-    return factor, cause, []
+    remedy = remedies.gyro_scale(gyro, factor)
+    return factor, [Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedy)]
 
 
 def _is_too_fast(turn: FloatArray) -> bool:
@@ -331,19 +330,19 @@ def _is_unit_confirmed(drive: Drive) -> bool:
     return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and count_turns(drive.turn) >= LEAST_TURNS
 
 
-def _judge_bias(drive: Drive, gyro: Gyro) -> Cause | None:
+def _judge_bias(drive: Drive, gyro: Gyro) -> list[Finding]:
     """The cause if the bias is large: at standstill and in motion, or against the turn of the headings."""
     result = _standstill_bias(drive.turn, drive.tracks_over_tread)
     result = result or _bias_by_heading(drive.turn, drive.heading_turn)
     if result is None:
-        return None
+        return []
     bias, log_ratio, evidence = result
     remedy = (
         "Let the unit find its bias at standstill, or subtract it: in the mapping "
         f"'origin: {bias:.5g}' (rad/s) at angular_velocity_z"
     )
     evidence = f"the gyro shows {np.degrees(bias):.1f} °/s {evidence}"
-    return Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)
+    return [Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)]
 
 
 def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
@@ -352,8 +351,9 @@ def _standstill_bias(turn: FloatArray, x: FloatArray) -> tuple[float, float, str
     if not has_standstill(x) or (~still).sum() < 3:
         return None
     bias = median_bias(y, x)
-    spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
-    if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or spread > 0.5 * abs(bias):
+    if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or robust_stddev(y[still] / WINDOW - bias) > 0.5 * abs(
+        bias
+    ):
         return None
     fit = fit_turns(y, x)
     best = int(np.argmax(fit.logs))
@@ -375,27 +375,74 @@ def _bias_by_heading(turn: FloatArray, heading_turn: FloatArray) -> tuple[float,
         return None
     excess = (turn - heading_turn)[usable] / WINDOW
     bias = float(np.median(excess))
-    stddev = 1.25 * 1.4826 * float(np.median(np.abs(excess - bias))) / float(np.sqrt(len(excess))) + 1e-4
+    stddev = 1.25 * robust_stddev(excess - bias) / float(np.sqrt(len(excess))) + 1e-4
     if (
         abs(bias) - 3.0 * stddev < _LARGE_BIAS
         or abs(bias) > _LARGEST_BIAS
         or (np.sign(excess) == np.sign(bias)).mean() < 0.8
     ):
         return None
-    return (
-        bias,
-        0.5 * (bias / stddev) ** 2,
-        f"more than the headings turn, in {len(excess)} pieces of {WINDOW:g} s",
-    )
+    evidence = f"more than the headings turn, in {len(excess)} pieces of {WINDOW:g} s"
+    return bias, 0.5 * (bias / stddev) ** 2, evidence
 
 
 def upside_down_cause(gyro: Gyro, log_odds: float) -> Cause:
     """The cause if turns and gravity are both inverted."""
     evidence = "turns about z and gravity along z are both the other way round: the unit hangs upside down"
-    return Cause(
-        "imu_mounting",
-        gyro.name,
-        evidence,
-        odds_of(log_odds),
-        remedies.mounting(gyro, rotation_to_vertical(2, -1.0)),
-    )
+    remedy = remedies.mounting(gyro, rotation_to_vertical(2, -1.0))
+    return Cause("imu_mounting", gyro.name, evidence, odds_of(log_odds), remedy)
+
+
+def judge_scale(drive: Drive, unit: float, lever: Lever | None) -> Cause | None:
+    """The cause if the scale is wrong, of a drive with right signs; ``unit``: undone readings per rad/s.
+
+    By headings and the path of the fixes: tracks slip. Scales that are wrong units are undone before.
+    ``lever``: correction of the lever arm of the fixes, which may explain their path instead.
+    """
+    if drive.gyro is None:
+        return None
+    by_lever = 0.0 if lever is None else lever.log_ratio
+    causes = (_judge_scales(drive, drive.gyro, scales, unit, by_lever) for scales in _SCALES)
+    return next((cause for cause in causes if cause is not None), None)
+
+
+def _judge_scales(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: float) -> Cause | None:
+    bias = drive.turn_fit.bias
+    logs_by_reference = {
+        "its headings": heading_logs(drive, scales, bias)[:, 0],
+        "the path of the fixes": path_logs(drive, scales, bias, [(np.ones(2), 1.0)])[:, 0],
+    }
+    references = {name: logs for name, logs in logs_by_reference.items() if logs.any()}
+    if not references:
+        return None
+    is_right = np.abs(np.log(scales)) <= _MOST_LOG_SCALE
+    total = np.sum(list(references.values()), axis=0)
+    best = int(np.argmax(total))
+    gain = float(total[best] - total[is_right].max())
+    if best in (0, len(scales) - 1) or gain < PRIOR + by_lever:  # at an end: no maximum
+        return None
+    turns = count_turns((drive.turn - bias * WINDOW) / scales[best])
+    if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in references.values()):
+        return None
+    scale = unit * float(scales[best])
+    evidence = f"the gyro shows {scale:.2g} times what the machine turns by {' and '.join(references)}"
+    return Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, scale))
+
+
+def heading_logs(drive: Drive, scales: FloatArray, bias: float) -> FloatArray:
+    """(s, 2) ln likelihood of each scale: headings with the gyro, or against it; zeros without headings."""
+    turn = drive.turn - bias * WINDOW
+    return np.array([turn_logs(drive.heading_turn, turn / scale)[:2] for scale in scales])
+
+
+def path_logs(
+    drive: Drive, scales: FloatArray, bias: float, signs: Sequence[tuple[FloatArray, float]]
+) -> FloatArray:
+    """(s, k) ln likelihood of each scale by the path of the fixes; zeros where too little of it was recorded.
+
+    ``signs``: k pairs, of both tracks (2,) and of the gyro.
+    """
+    turn = drive.grid.turns[:, 2] - bias * drive.grid.cell
+    fits = drive.path_fits([(tracks, sign * turn / scale) for scale in scales for tracks, sign in signs])
+    logs = fits.logs.reshape(len(scales), len(signs))
+    return logs if fits.segments >= _LEAST_SEGMENTS else np.zeros_like(logs)

@@ -6,9 +6,10 @@ Times are s on one clock. The stated mounting, sign and scale turn the gyro to a
 of fixes are those of the sensor; its stated lever arm is a field of its own.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = NDArray[np.complex128]
+Array = TypeVar("Array", FloatArray, ComplexArray)
 
 
 class Machine(NamedTuple):
@@ -85,11 +87,16 @@ class Fixes:
         """The stated lever arm, m."""
         return complex(*self.lever)
 
+    @property
+    def complex_places(self) -> ComplexArray:
+        """(n,) places x + i y, m."""
+        return np.asarray(self.places @ np.array((1.0, 1.0j)))
+
     @cached_property
     def centred_places(self) -> ComplexArray:
         """(n,) places about their mean, m."""
-        z = self.places @ np.array((1.0, 1.0j))
-        return np.asarray(z - z.mean() if len(z) else z)
+        z = self.complex_places
+        return z - z.mean() if len(z) else z
 
 
 @dataclass(frozen=True)
@@ -109,6 +116,9 @@ class Compass:
     def select(self, rows: BoolArray | IntArray) -> "Compass":
         """The headings of these rows, by flags (n,) or indices."""
         return replace(self, t=self.t[rows], headings=self.headings[rows])
+
+
+Source = TypeVar("Source", Gyro, Fixes, Compass)
 
 
 @dataclass(frozen=True)
@@ -134,6 +144,19 @@ class Log:
     def with_gyro(self, gyro: Gyro) -> "Log":
         """The log with another version of one gyro."""
         return replace(self, gyros=tuple(gyro if g.name == gyro.name else g for g in self.gyros))
+
+    def with_stamps(self, change: Callable[[str, FloatArray], FloatArray | None]) -> "Log":
+        """The log with other stamps (n,) of gyros, fixes and headings, from topic and present ones, s.
+
+        A source whose stamps become None is left out.
+        """
+
+        def changed(sources: tuple[Source, ...]) -> tuple[Source, ...]:
+            stamps = [change(source.name, source.t) for source in sources]
+            return tuple(replace(s, t=t) for s, t in zip(sources, stamps, strict=True) if t is not None)
+
+        gyros, fixes, compasses = changed(self.gyros), changed(self.fixes), changed(self.compasses)
+        return replace(self, gyros=gyros, fixes=fixes, compasses=compasses)
 
 
 def group_of(topic: str) -> str:

@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Columns with placeholders of missing values."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.equal_runs import equal_runs
+from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import ComplexArray, Log
 
@@ -23,18 +24,6 @@ _QUANTA = 5.0  # times the smallest changes of readings
 _JITTER_COUNTS = 2.5  # counts: one forward and one back in a row, and half of one by jitter of stamps
 _LARGE_SHARE = 0.3  # of the size of large readings; smaller jumps may be motion or noise
 _FIX_STEP = 30.0  # m from both neighbours; a place farther away is no fix of the machine
-
-
-@dataclass(frozen=True)
-class MissingValue:
-    """A value that marks missing readings."""
-
-    source: str
-    column: str
-    value: float
-    count: int
-    share: float
-    numbers: int = 1  # components of each reading that repeat
 
 
 class _Jumps(NamedTuple):
@@ -95,15 +84,15 @@ def _find_jumps(values: FloatArray | ComplexArray, least: float, back: float, lo
     return _Jumps(most_frequent, np.repeat(is_most_frequent, lengths), int(is_most_frequent.sum()))
 
 
-def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
-    """The log without missing readings, and the values that mark them."""
-    missing_values: list[MissingValue] = []
+def remove_missing(log: Log) -> tuple[Log, list[Cause]]:
+    """The log without missing readings, and a cause for each value that marks them."""
+    causes: list[Cause] = []
     tracks = log.tracks
     is_missing = np.zeros(len(tracks.t), np.bool_)
     count = log.counts.measured / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
         speeds = tracks.speeds[:, side]
-        is_missing |= _mark_missing(missing_values, "sprockets", f"{name} speed", tracks.t, speeds, count)
+        is_missing |= _mark_missing(causes, "sprockets", f"{name} speed", tracks.t, speeds, count)
     if is_missing.any():
         log = replace(log, tracks=tracks_of_speeds(tracks.t[~is_missing], tracks.speeds[~is_missing]))
     gyros, fixes = [], []
@@ -111,22 +100,22 @@ def remove_missing(log: Log) -> tuple[Log, list[MissingValue]]:
         is_missing = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
             rates = gyro.rates[:, axis]
-            is_missing |= _mark_missing(missing_values, gyro.name, f"rate about {name}", gyro.t, rates)
+            is_missing |= _mark_missing(causes, gyro.name, f"rate about {name}", gyro.t, rates)
         gyros.append(gyro.select(~is_missing))
     for source in log.fixes:
-        fixes.append(source.select(~_mark_missing_fixes(missing_values, source.name, source.places)))
-    return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), missing_values
+        fixes.append(source.select(~_mark_missing_fixes(causes, source.name, source.places)))
+    return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), causes
 
 
 def _mark_missing(
-    missing_values: list[MissingValue],
+    causes: list[Cause],
     source: str,
     column: str,
     t: FloatArray,
     values: FloatArray,
     count: float = 0.0,
 ) -> BoolArray:
-    """(n,) missing readings of one column, whose value is added to ``missing_values``.
+    """(n,) missing readings of one column, whose cause is added to ``causes``.
 
     Most of them follow no gap: an increment is twice as large after a gap.
     """
@@ -135,11 +124,11 @@ def _mark_missing(
     if missing is None or (intervals > 1.5 * np.median(intervals))[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
-    missing_values.append(MissingValue(source, column, value, int(where.sum()), float(where.mean())))
+    causes.append(_missing_cause(source, column, value, where))
     return where
 
 
-def _mark_missing_fixes(missing_values: list[MissingValue], source: str, places: FloatArray) -> BoolArray:
+def _mark_missing_fixes(causes: list[Cause], source: str, places: FloatArray) -> BoolArray:
     """(n,) missing fixes: at one exact place far from others that recurs, or is held at the start or end."""
     nothing = np.zeros(len(places), np.bool_)
     if len(places) < _LEAST_READINGS:
@@ -151,6 +140,16 @@ def _mark_missing_fixes(missing_values: list[MissingValue], source: str, places:
     is_held_at_an_end = jumps.where[:_LEAST_HELD].all() or jumps.where[-_LEAST_HELD:].all()
     if jumps.visits < _LEAST_PLACES and not is_held_at_an_end:
         return nothing
-    count, share = int(jumps.where.sum()), float(jumps.where.mean())
-    missing_values.append(MissingValue(source, "place", float(jumps.value.real), count, share, 2))
+    causes.append(_missing_cause(source, "place", float(jumps.value.real), jumps.where, numbers=2))
     return jumps.where
+
+
+def _missing_cause(source: str, column: str, value: float, where: BoolArray, *, numbers: int = 1) -> Cause:
+    """The cause for a value that marks the readings ``where`` (n,); ``numbers`` of each reading repeat."""
+    count = int(where.sum())
+    evidence = f"{column} jumps to {value:g} and back {count} times ({where.mean():.1%} of the readings)"
+    remedy = (
+        "Leave out what stands for a missing value: blank cells, or in the "
+        f"mapping 'missing: {value:g}' at that column"
+    )
+    return Cause("missing_value", source, evidence, odds_of(min(count * numbers, 20) * 2.0), remedy)

@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
-from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid
+from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, running_sum
 from trackslip_estimation.setup_check.log import ComplexArray, Fixes
+from trackslip_estimation.setup_check.turning import robust_stddev
 
 LENGTHS = (5.0, 10.0, 20.0, 40.0, 80.0)  # s, of segments; the best depends on speeds and noise
 MOST_LOG = 4.0  # ln likelihood ratio of one segment
@@ -45,9 +46,8 @@ class Path:
 
     def places_at(self, t: FloatArray, lever: complex = 0.0) -> ComplexArray:
         """(n,) places of a point of base_link at times t, m."""
-        heading = np.interp(t, self.edges, self.headings)
-        q = np.interp(t, self.edges, self.places.real) + 1j * np.interp(t, self.edges, self.places.imag)
-        return np.asarray(q + lever * np.exp(1j * heading))
+        direction = np.exp(1j * np.interp(t, self.edges, self.headings))
+        return np.asarray(np.interp(t, self.edges, self.places) + lever * direction)
 
 
 class PathFits(NamedTuple):
@@ -61,9 +61,8 @@ def dead_reckoning(grid: Grid, distance: FloatArray, turn: FloatArray) -> Path:
     """Path by increments (m,), m and rad; both are zero in cells where either is unknown."""
     known = np.isfinite(distance) & np.isfinite(turn) & grid.is_driven
     steps, turns = np.where(known, distance, 0.0), np.where(known, turn, 0.0)
-    headings = np.concatenate(([0.0], np.cumsum(turns)))
-    middle = headings[:-1] + turns / 2.0
-    places = np.concatenate(([0.0], np.cumsum(steps * np.exp(1j * middle))))
+    headings = running_sum(turns)
+    places = running_sum(steps * np.exp(1j * (headings[:-1] + turns / 2.0)))
     return Path(grid.edges, places, headings, known)
 
 
@@ -87,7 +86,7 @@ def with_measured_noise(fixes: Fixes) -> Fixes:
     steps = np.diff(thin.places, axis=0)[np.diff(thin.t) < 1.5 * _SPACING]
     if len(steps) < _LEAST_STEPS:
         return fixes
-    measured = 1.4826 * float(np.median(np.abs(np.diff(steps, axis=0)))) / float(np.sqrt(6.0))
+    measured = robust_stddev(np.diff(steps, axis=0)) / float(np.sqrt(6.0))
     return replace(fixes, stddevs=np.minimum(fixes.stddevs, np.maximum(measured, 0.1 * fixes.stddevs)))
 
 
@@ -97,7 +96,7 @@ def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> In
     The path has no gap within ``margin`` s of a segment either.
     """
     t = fixes.t
-    unknown = np.concatenate(([0], np.cumsum(~path.is_known)))
+    unknown = running_sum((~path.is_known).astype(np.float64))
     most = LONGEST_GAP / (path.edges[1] - path.edges[0])
     parts, first = [], 0
     breaks = np.append(np.diff(t) > _LONGEST_OUTAGE, True)
@@ -129,7 +128,7 @@ class Moments:
 
     def sums(self, values: ComplexArray) -> ComplexArray:
         """(s,) sums of (n,) values."""
-        total = np.concatenate(([0.0], np.cumsum(values)))
+        total = running_sum(values)
         return np.asarray(total[self._parts[:, 1]] - total[self._parts[:, 0]])
 
     def product(self, a: ComplexArray, b: ComplexArray) -> ComplexArray:

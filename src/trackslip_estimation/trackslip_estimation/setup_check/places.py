@@ -15,16 +15,18 @@ from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
     READ_OFF,
     Cause,
+    Finding,
     MeasuredValue,
     OpenQuestion,
     odds_of,
 )
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
-from trackslip_estimation.setup_check.grid import WINDOW
+from trackslip_estimation.setup_check.grid import WINDOW, running_sum
 from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrap_angles
 from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_of
 from trackslip_estimation.setup_check.path import Path, thin_fixes
 from trackslip_estimation.setup_check.signs import HEADING
+from trackslip_estimation.setup_check.turning import robust_stddev
 
 _LENGTHS = (5.0, 10.0, 20.0)  # s, of segments
 _ICR_SHARE = 0.15  # longitudinal offset of the centre of rotation, share of the contact length
@@ -55,15 +57,13 @@ def best_lever(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> L
     return min(levers, key=lambda lever: float(np.minimum(lever.stddevs, tread).sum()), default=None)
 
 
-def judge_lever(
-    lever: Lever | None, fixes: Fixes, machine: Machine
-) -> tuple[list[Cause], list[OpenQuestion]]:
+def judge_lever(lever: Lever | None, fixes: Fixes, machine: Machine) -> list[Finding]:
     """A wrong lever arm of a source on the undercarriage."""
     if fixes.is_above:
         needed = "measure it by tape: the check knows lever arms on the undercarriage only"
-        return [], [OpenQuestion(f"lever arm of {fixes.name}, which swings", needed)]
+        return [OpenQuestion(f"lever arm of {fixes.name}, which swings", needed)]
     if lever is None or lever.turned < _LEAST_TURN or min(lever.stddevs) > 0.5 * machine.tread + 0.3:
-        return [], [OpenQuestion(f"lever arm of {fixes.name}", _TURN_REQUEST)]
+        return [OpenQuestion(f"lever arm of {fixes.name}", _TURN_REQUEST)]
     correction = np.array((lever.value.real, lever.value.imag))
     stddevs = np.array(lever.stddevs)
     allowed = np.array(
@@ -72,17 +72,14 @@ def judge_lever(
     is_wrong = np.abs(correction) > allowed + _SIGNIFICANT * stddevs
     if not is_wrong.any() or lever.log_ratio < LEAST_LOG:
         if max(stddevs) < _EXACT_SHARE * machine.tread:
-            return [], []
+            return []
         what = f"lever arm of {fixes.name}, which turns show to ± {_SIGNIFICANT * max(stddevs):.2g} m only"
-        return [], [OpenQuestion(what, _TURN_REQUEST)]
+        return [OpenQuestion(what, _TURN_REQUEST)]
     value = np.array(fixes.lever) + correction
     is_mirrored = (np.abs(value + fixes.lever) < allowed + _SIGNIFICANT * stddevs).all()
     if np.hypot(*fixes.lever) > _LEAST_LEVER and is_mirrored:
-        return [], [
-            OpenQuestion(
-                f"lever arm of {fixes.name} of the other sign, {_FRONT_TEXT}", _AHEAD_REQUEST, is_wrong=True
-            )
-        ]
+        what = f"lever arm of {fixes.name} of the other sign, {_FRONT_TEXT}"
+        return [OpenQuestion(what, _AHEAD_REQUEST, is_wrong=True)]
     group = group_of(fixes.name)
     axes = [k for k in (0, 1) if is_wrong[k] or stddevs[k] < _EXACT_SHARE * machine.tread]
     position_text = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * stddevs[k]:.2f}" for k in axes)
@@ -92,7 +89,7 @@ def judge_lever(
     )
     rounded = (np.round(value, 2) + 0.0).tolist()  # no -0
     values = [remedies.parameter(f"{group}.lever_arm_{'xy'[k]}", rounded[k]) for k in axes]
-    return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
+    return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))]
 
 
 def is_sliding(drive: Drive) -> bool:
@@ -107,34 +104,31 @@ def is_sliding(drive: Drive) -> bool:
     return bool(is_same_side and abs(directions.mean().imag) > abs(directions.mean().real))
 
 
-def judge_offset(
-    drive: Drive, compass: Compass
-) -> tuple[list[Cause], list[OpenQuestion], MeasuredValue | None]:
+def judge_offset(drive: Drive, compass: Compass) -> list[Finding]:
     """Offset of headings against courses: cause, open question, and its value where there are courses."""
     steps = drive.courses
     if len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
-        return [], [OpenQuestion(f"offset of the heading of {compass.name}", needed)], None
+        return [OpenQuestion(f"offset of the heading of {compass.name}", needed)]
     distances = drive.tracks_over_tread.sum(axis=1)[steps.windows]
     differences = wrap_angles(steps.courses - steps.headings - np.where(distances < 0.0, np.pi, 0.0))
     middle = mean_direction(differences)
     residuals = wrap_angles(differences - middle)
-    scatter = 1.4826 * float(np.median(np.abs(residuals)))
+    scatter = robust_stddev(residuals)
     stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(residuals)), 0.01))
     basis = f"{len(residuals)} straight pieces, course less heading"
     measured = MeasuredValue("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
-    causes, questions = _judge_reverse(compass, distances < 0.0, np.abs(residuals) > np.pi - _HALF_TURN)
-    if causes or questions:
-        return causes, questions, None
+    if found := _judge_reverse(compass, distances < 0.0, np.abs(residuals) > np.pi - _HALF_TURN):
+        return found
     is_usual = np.abs(residuals) < 0.5
     if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or is_usual.mean() < 0.7:
-        return [], [], measured
+        return [measured]
     log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(residuals)), 0.02)) ** 2
     if log_ratio < LEAST_LOG:
-        return [], [], measured
+        return [measured]
     if abs(middle) > np.pi - _HALF_TURN:
         what = f"heading of {compass.name} off by half a turn, {_FRONT_TEXT}"
-        return [], [OpenQuestion(what, _AHEAD_REQUEST, is_wrong=True)], measured
+        return [measured, OpenQuestion(what, _AHEAD_REQUEST, is_wrong=True)]
     if compass.of_poses:
         unused = remedies.parameter(f"{group_of(compass.name)}.use_heading", "false")
         remedy = (
@@ -151,23 +145,19 @@ def judge_offset(
         f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the "
         f"stated heading in {len(residuals)} straight pieces"
     )
-    return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
+    return [measured, Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)]
 
 
-def _judge_reverse(
-    compass: Compass, is_reverse: BoolArray, is_opposite: BoolArray
-) -> tuple[list[Cause], list[OpenQuestion]]:
+def _judge_reverse(compass: Compass, is_reverse: BoolArray, is_opposite: BoolArray) -> list[Finding]:
     """Headings that flip with the direction of travel, or tracks that do not count it.
 
     (n,) straight pieces: whether the tracks reverse; whether course less heading is half a turn from most.
     """
     ahead, back = is_opposite[~is_reverse], is_opposite[is_reverse]
     opposite_count = int(is_opposite.sum())
-    if (
-        not compass.is_used
-        or min(len(ahead), opposite_count, len(is_opposite) - opposite_count) < _LEAST_COURSES
-    ):
-        return [], []
+    least = min(len(ahead), opposite_count, len(is_opposite) - opposite_count)
+    if not compass.is_used or least < _LEAST_COURSES:
+        return []
     if len(back) >= _LEAST_COURSES and abs(back.mean() - ahead.mean()) > _MOST_PIECES:
         evidence = (
             f"the heading turns round in {len(back)} straight pieces in reverse, against {len(ahead)} "
@@ -177,8 +167,8 @@ def _judge_reverse(
         if compass.of_poses:
             alternative = remedies.parameter(f"{group_of(compass.name)}.use_heading", "false")
         remedy = f"Take the heading of two antennas on the undercarriage, or {alternative}"
-        return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
-    return [], [] if len(back) else [_direction_question(compass.name, opposite_count, len(ahead))]
+        return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)]
+    return [] if len(back) else [_direction_question(compass.name, opposite_count, len(ahead))]
 
 
 def _direction_question(sources: str, opposite_count: int, pieces: int) -> OpenQuestion:
@@ -189,7 +179,7 @@ def _direction_question(sources: str, opposite_count: int, pieces: int) -> OpenQ
     return OpenQuestion(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)
 
 
-def judge_direction(drive: Drive) -> list[OpenQuestion]:
+def judge_direction(drive: Drive) -> list[Finding]:
     """Tracks that count forward only, by courses and the turns of the gyro, without headings.
 
     Between two straight pieces, the course turns as the gyro does, or by half a turn more.
@@ -197,27 +187,24 @@ def judge_direction(drive: Drive) -> list[OpenQuestion]:
     if drive.gyro is None or drive.fixes is None or drive.compass is not None:
         return []
     edges = drive.grid.edges
-    gyro_compass = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
+    gyro_compass = Compass(drive.gyro.name, edges, running_sum(drive.gyro_turn))
     steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, gyro_compass)
-    if (
-        len(steps.courses) < _LEAST_COURSES
-        or (drive.tracks_over_tread.sum(axis=1)[steps.windows] < 0.0).any()
-    ):
+    distances = drive.tracks_over_tread.sum(axis=1)[steps.windows]
+    if len(distances) < _LEAST_COURSES or (distances < 0.0).any():
         return []
     turn_differences = np.abs(wrap_angles(np.diff(steps.courses - steps.headings)))
-    turns_round = (turn_differences > np.pi - _HALF_TURN) & (
-        np.diff(steps.windows) * WINDOW < _LONGEST_INTERVAL
-    )
-    is_opposite = np.concatenate(([0], np.cumsum(turns_round))) % 2 == 1
+    is_near = np.diff(steps.windows) * WINDOW < _LONGEST_INTERVAL
+    turns_round = (turn_differences > np.pi - _HALF_TURN) & is_near
+    is_opposite = running_sum(turns_round.astype(np.float64)) % 2 == 1
     fewer = min(int(is_opposite.sum()), int((~is_opposite).sum()))
     if fewer < _LEAST_COURSES or turns_round.sum() < 2:
         return []
     return [_direction_question(f"{drive.fixes.name} and {drive.gyro.name}", fewer, len(is_opposite))]
 
 
-def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
+def judge_places(fixes: Sequence[Fixes]) -> list[Finding]:
     """Fixes kilometres from the origin of the map, or from the fix before; two sources metres apart."""
-    causes = []
+    causes: list[Finding] = []
     for source in fixes:
         is_finite = np.isfinite(source.places).all(axis=1)
         places = source.places[is_finite]
@@ -247,9 +234,9 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
     return causes + _judge_separation(fixes)
 
 
-def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
+def judge_digits(fixes: Sequence[Fixes]) -> list[Finding]:
     """Places whose rounding is coarser than their stated standard deviation."""
-    causes = []
+    causes: list[Finding] = []
     for source in fixes:
         rounding = max(
             (rounding_of(column[np.isfinite(column)], source.noise) for column in source.places.T),
@@ -262,15 +249,8 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
             f"{source.noise:.2g} m"
         )
         floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{rounding:.2g}"))
-        causes.append(
-            Cause(
-                "position_resolution",
-                source.name,
-                evidence,
-                READ_OFF,
-                f"Record {MORE_DIGITS}, or set {floor}",
-            )
-        )
+        remedy = f"Record {MORE_DIGITS}, or set {floor}"
+        causes.append(Cause("position_resolution", source.name, evidence, READ_OFF, remedy))
     return causes
 
 
@@ -297,11 +277,10 @@ def _judge_separation(fixes: Sequence[Fixes]) -> list[Cause]:
     if len(fixes) < 2:
         return []
     first, second = fixes[0], fixes[1]
-    difference = place_at(second, first.t) - first.places
-    is_finite = np.isfinite(difference).all(axis=1)
-    if is_finite.sum() < 10:
+    gaps = np.abs(place_at(second, first.t) - first.complex_places)
+    gaps = gaps[np.isfinite(gaps)]
+    if len(gaps) < 10:
         return []
-    gaps = np.hypot(*difference[is_finite].T)
     middle = float(np.median(gaps))
     noise = first.noise + second.noise
     if middle < max(_LEAST_SEPARATION, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:

@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
-from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
+from trackslip_estimation.setup_check.drive import DISTANCES, USUAL_EFFICIENCY, Drive
+from trackslip_estimation.setup_check.finding import PRIOR, Cause, Finding, odds_of
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
-from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import known_windows, turn_scale
 
@@ -86,7 +85,7 @@ class _Relations(NamedTuple):
     shares: FloatArray  # (4,) R²
 
 
-def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
+def judge_quantity(drive: Drive) -> tuple[Drive, list[Finding]]:
     """The drive with its columns as the right quantity, and the cause if another quantity was declared."""
     declared, best = _fit_relations(drive), (drive, _Relations(0.0, np.zeros(4)), _INTERPRETATIONS[0])
     for interpretation in _INTERPRETATIONS:
@@ -99,13 +98,14 @@ def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
     pair = int(np.argmax(relations.shares - declared.shares))  # that gains most
     log_ratio = relations.weight - declared.weight - PRIOR
     if log_ratio < PRIOR or relations.shares[pair] < _LEAST_EXPLAINED:
-        return drive, None
+        return drive, []
     source = "sprockets" if interpretation.cause == "speed_unit" or drive.gyro is None else drive.gyro.name
     evidence = (
         f"the columns are {interpretation.what}: so they explain {relations.shares[pair]:.0%} of what "
         f"another sensor shows of the motion, as declared {declared.shares[pair]:.0%}"
     )
-    return corrected, Cause(interpretation.cause, source, evidence, odds_of(log_ratio), interpretation.remedy)
+    odds = odds_of(log_ratio)
+    return corrected, [Cause(interpretation.cause, source, evidence, odds, interpretation.remedy)]
 
 
 def _misfit(drive: Drive) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.log import Compass, Gyro, group_of
+from trackslip_estimation.slip.mounting import rotation as rotation_rows
 
 SWAP_TRACKS = (
     "Exchange left and right: in the mapping the columns of left_velocity and right_velocity (left_position "
@@ -66,15 +67,8 @@ def mounting(gyro: Gyro, correction: FloatArray) -> str:
 
 def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
     """(3, 3) R_z(yaw) R_y(pitch) R_x(roll)."""
-    cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
-    sr, sp, sy = math.sin(roll), math.sin(pitch), math.sin(yaw)
-    return np.array(
-        (
-            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-            (-sp, cp * sr, cp * cr),
-        )
-    )
+    rows = rotation_rows(roll, pitch, yaw)
+    return np.eye(3) if rows is None else np.array(rows)
 
 
 def euler_angles(R: FloatArray) -> tuple[float, float, float]:

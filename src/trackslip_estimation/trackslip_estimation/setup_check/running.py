@@ -100,8 +100,8 @@ class RunningCheck:
 
     def _columns(self, length_s: float) -> Columns:
         with self._lock:
+            newest_ns = self._newest_ns()
             rows = {key: list(source_rows) for key, source_rows in self._rows.items() if source_rows}
-        newest_ns = max((source_rows[-1][0] for source_rows in rows.values()), default=0)
         columns: Columns = {}
         for key, source_rows in rows.items():
             stamps = np.array([stamp for stamp, _ in source_rows], np.int64)
@@ -111,13 +111,14 @@ class RunningCheck:
                 columns[key] = stamps[new], values[new]
         return columns
 
+    def _newest_ns(self) -> int:
+        return max((source_rows[-1][0] for source_rows in self._rows.values() if source_rows), default=0)
+
     def _keep_recent(self) -> None:
         with self._lock:
-            newest_ns = max(
-                (source_rows[-1][0] for source_rows in self._rows.values() if source_rows), default=0
-            )
+            oldest_ns = self._newest_ns() - int(RECENT_S * 1e9)
             for source_rows in self._rows.values():
-                while source_rows and source_rows[0][0] <= newest_ns - int(RECENT_S * 1e9):
+                while source_rows and source_rows[0][0] <= oldest_ns:
                     source_rows.popleft()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import Cause, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.finding import Cause, Finding, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
 
 _STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn; sharpest turn that is used
@@ -29,19 +29,23 @@ _SIDES = ("left", "right")
 
 
 class TracksResult(NamedTuple):
-    """Causes, and the drive with them undone; None: the tracks are unusable."""
+    """Findings, and the drive with their causes undone; None: the tracks are unusable."""
 
     drive: Drive | None
-    causes: tuple[Cause, ...] = ()
-    undetermined: tuple[OpenQuestion, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    has_wrong_frame: bool = False  # whether fixes are in another unit
 
 
 def compare_tracks(drive: Drive, unit: float) -> TracksResult:
     """Compare the tracks with each other and with the fixes; ``unit``: of the speeds, undone before."""
-    frame, equal_tracks = _judge_frame(drive, unit), _judge_equal_tracks(drive)
+    equal_tracks = _judge_equal_tracks(drive)
     if equal_tracks is not None:
         return TracksResult(None, (equal_tracks,))
-    return _judge_ratio(drive, unit) if frame is None else TracksResult(drive.without_fixes(), (frame,))
+    frame = _judge_frame(drive, unit)
+    if frame is None:
+        return _judge_ratio(drive, unit)
+    without_fixes = Drive.from_sources(drive.log, drive.gyro, None, drive.compass)
+    return TracksResult(without_fixes, (frame,), has_wrong_frame=True)
 
 
 def _judge_equal_tracks(drive: Drive) -> Cause | None:
@@ -80,7 +84,7 @@ def _judge_ratio(drive: Drive, unit: float) -> TracksResult:
     evidence = f"on straights the {name} sprocket turns {q:.3g} times as far as the {other} one"
     if len(wrong) != 1:
         needed = "count the turns of both sprockets by hand"
-        return TracksResult(None, (), (OpenQuestion(evidence, needed, is_wrong=True),))
+        return TracksResult(None, (OpenQuestion(evidence, needed, is_wrong=True),))
     side = _SIDES[wrong[0]]
     evidence += f", and fixes agree with the {_SIDES[1 - wrong[0]]} one ({len(distance)} windows)"
     odds = odds_of(2.0 * len(distance))

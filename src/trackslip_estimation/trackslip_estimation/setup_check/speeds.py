@@ -15,9 +15,10 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Finding, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.fit import Scales
 from trackslip_estimation.setup_check.log import Log, Machine
+from trackslip_estimation.setup_check.turning import robust_stddev
 
 _UNITS = {
     "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
@@ -112,7 +113,7 @@ def piece_counts(scales: Scales) -> tuple[int, int]:
 
 
 class DistanceRatios(NamedTuple):
-    """ρ of n straight pieces of a drive; where these are too few, of the longer half of all."""
+    """ρ by the recorded speeds, of n straight pieces; where these are too few, of the longer half of all."""
 
     values: FloatArray  # (n,)
     times: FloatArray  # (n,) s
@@ -124,22 +125,22 @@ class DistanceRatios(NamedTuple):
     half_interval: float  # half width of the 95 % interval of the median
 
 
-def _distance_ratios(scales: Scales) -> DistanceRatios:
+def _distance_ratios(scales: Scales, factor: float) -> DistanceRatios:
     is_used = scales.straight > _STRAIGHT
     is_straight = bool(is_used.sum() >= _LEAST_WINDOWS)
     if not is_straight:
         is_used = scales.extents >= np.median(scales.extents)
-    values, times = scales.ratios[is_used], scales.times[is_used]
+    values, times = scales.ratios[is_used] / factor, scales.times[is_used]
     worst, best = np.percentile(values, (10.0, _BEST_PERCENTILE)).tolist()
     median = float(np.median(values))
-    stddev = 1.4826 * float(np.median(np.abs(values - median)))
-    half_interval = 2.0 * 1.25 * stddev / float(np.sqrt(len(values))) + 0.01
+    stddev = robust_stddev(values - median)
+    half_interval = 2.0 * 1.25 * stddev / float(np.sqrt(len(values))) + 0.01 / factor
     return DistanceRatios(values, times, is_straight, worst, best, median, stddev, half_interval)
 
 
 def judge_distance(
     scales: Scales | None, log: Log, factor: float, distance: float, turn_ratio: float
-) -> tuple[list[Cause], list[OpenQuestion]]:
+) -> list[Finding]:
     """Unit of the speeds, rolling radius and gear, by ρ; ``distance``: by the fixes, m.
 
     ``factor``: of the unit, undone in ``scales``. ``turn_ratio``: turn by the gyro over turn by the recorded
@@ -149,29 +150,28 @@ def judge_distance(
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
         needed = "drive 10 m straight with fixes"
-        return [], [OpenQuestion(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
-    ratios, machine, units = _distance_ratios(scales), log.machine, speed_units(log)
-    best_ratio, middle = ratios.best_ground_ratio / factor, ratios.median / factor  # ρ of the recorded speeds
+        return [OpenQuestion(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
+    ratios, machine, units = _distance_ratios(scales, factor), log.machine, speed_units(log)
+    best_ratio, middle = ratios.best_ground_ratio, ratios.median
     unit_logs = {name: slip_log(best_ratio * f) for name, f in units.items()}
     best = max(unit_logs, key=lambda name: unit_logs[name])
     gain = unit_logs[best] - max(slip_log(best_ratio), -60.0) - 1.0
     if best_ratio < _MOST_BEST_RATIO:  # on all ground
         gain = max(gain, slip_log(middle * units[best]) - slip_log(middle) - 1.0)
-    gear = _judge_gear(ratios, factor) if ratios.is_straight else None
-    if gear is not None:
-        return [gear], []
+    if ratios.is_straight and (gear := _judge_gear(ratios)) is not None:
+        return [gear]
     # slip only lowers ρ
-    is_everywhere = ratios.worst_ground_ratio / factor > _LEAST_WORST_RATIO if best_ratio > 1.0 else True
+    is_everywhere = ratios.worst_ground_ratio > _LEAST_WORST_RATIO if best_ratio > 1.0 else True
     is_radius = is_everywhere and ratios.is_straight  # in turns a lever arm has the same effect
-    if is_radius and _RADIUS_RANGE[0] < middle - ratios.half_interval / factor and middle <= _RADIUS_RANGE[1]:
-        return [_radius_cause(ratios, machine, factor)], []
+    if is_radius and _RADIUS_RANGE[0] < middle - ratios.half_interval and middle <= _RADIUS_RANGE[1]:
+        return [_radius_cause(ratios, machine)]
     if gain > LEAST_LOG and unit_logs[best] > -4.0 and not 0.55 < best_ratio < 1.3 and is_everywhere:
         value = units[best]
         by_speeds = unit_logs[best] + _turn_log(turn_ratio * value)
         if by_speeds < slip_log(best_ratio / _FEET) + _turn_log(turn_ratio) + LEAST_LOG:
             what = f"fixes go {best_ratio:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
             needed = "measure 10 m by tape and drive them; turn left and right by 90°"
-            return [], [OpenQuestion(what, needed, is_wrong=True)]
+            return [OpenQuestion(what, needed, is_wrong=True)]
         possible = " or ".join(name for name, log in unit_logs.items() if log > unit_logs[best] - _EQUAL_LOG)
         evidence = f"fixes go {best_ratio:.3g} times as far as the tracks"
         evidence += f"; as {possible}, {best_ratio * value:.2f} times"
@@ -180,7 +180,7 @@ def judge_distance(
             f"roles file: unit), or the gear of the motors (mapping: scale: {1.0 / value:.4g}; roles "
             f"file: ratio), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
-        return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
+        return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)]
     gain = -max(slip_log(best_ratio), -60.0) - PRIOR
     if gain > LEAST_LOG and ratios.is_straight and not 1.0 < best_ratio < _GEAR[1]:
         evidence = (
@@ -190,39 +190,37 @@ def judge_distance(
             f"State the gear (roles file: ratio, counts_per_turn), or scale: {best_ratio:.3g} at "
             "left_velocity and right_velocity in the mapping"
         )
-        return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
-    if middle - ratios.half_interval / factor > _RADIUS_RANGE[0]:
+        return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)]
+    if middle - ratios.half_interval > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
-        return [], [OpenQuestion(what, "drive 20 m straight in each gear")]
-    ahead = int((ratios.values / factor > _GEAR[0]).sum())
+        return [OpenQuestion(what, "drive 20 m straight in each gear")]
+    ahead = int((ratios.values > _GEAR[0]).sum())
     if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
         what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"
-        return [], [OpenQuestion(f"{what}: gear", "drive 20 m straight in each gear")]
+        return [OpenQuestion(f"{what}: gear", "drive 20 m straight in each gear")]
     if best_ratio < _LEAST_HARD:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
         what = (
             f"slip of {1.0 - best_ratio:.0%}, a rolling radius that is too large, or another unit of the "
             "speeds"
         )
-        return [], [OpenQuestion(what, needed)]
-    return [], []
+        return [OpenQuestion(what, needed)]
+    return []
 
 
-def _radius_cause(ratios: DistanceRatios, machine: Machine, factor: float) -> Cause:
-    rho, spread = ratios.median / factor, ratios.half_interval / factor
+def _radius_cause(ratios: DistanceRatios, machine: Machine) -> Cause:
+    rho, spread = ratios.median, ratios.half_interval
     low, high = (machine.radius * (rho + sign * spread) for sign in (-1.0, 1.0))
     evidence = f"the machine goes {rho:.3f} ± {spread:.3f} times as far as its tracks: no slip does that"
     remedy = f"Set vehicle.kinematics.rolling_radius: {machine.radius * rho:.3g} (m, {low:.3g} to {high:.3g})"
-    log_ratio = (
-        0.5 * ((rho - 1.0) / float(np.hypot(_NEGATIVE_SLIP_STDDEV, ratios.robust_stddev / factor))) ** 2
-    )
+    log_ratio = 0.5 * ((rho - 1.0) / float(np.hypot(_NEGATIVE_SLIP_STDDEV, ratios.robust_stddev))) ** 2
     return Cause("rolling_radius", "sprockets", evidence, odds_of(log_ratio), remedy)
 
 
-def _judge_gear(ratios: DistanceRatios, factor: float) -> Cause | None:
+def _judge_gear(ratios: DistanceRatios) -> Cause | None:
     """The cause if ρ has two levels over time, the upper of which slip does not explain."""
     order = np.argsort(ratios.times)
-    values = np.log(np.maximum(ratios.values[order] / factor, 1e-3))
+    values = np.log(np.maximum(ratios.values[order], 1e-3))
     count = len(values)
     if count < 2 * _LEAST_IN_GEAR:
         return None
@@ -243,13 +241,8 @@ def _judge_gear(ratios: DistanceRatios, factor: float) -> Cause | None:
         f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use "
         "left_position and right_position of the sprockets in the roles file, or record each gear by itself"
     )
-    return Cause(
-        "travel_gear",
-        "sprockets",
-        evidence,
-        odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2),
-        remedy,
-    )
+    odds = odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2)
+    return Cause("travel_gear", "sprockets", evidence, odds, remedy)
 
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:

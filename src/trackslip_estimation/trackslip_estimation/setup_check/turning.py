@@ -76,7 +76,7 @@ def turn_scale(turn: FloatArray, x: FloatArray) -> float:
             continue
         ratio = y[large] / turned[large]
         middle = float(np.median(ratio))
-        spread = 1.4826 * float(np.median(np.abs(ratio - middle))) + 1e-12
+        spread = robust_stddev(ratio - middle) + 1e-12
         if abs(middle) / spread > best:
             best, scale = abs(middle) / spread, abs(middle)
     return scale
@@ -86,6 +86,11 @@ def known_windows(y: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]
     """The values y (w,) and x (w, k) of the windows in which all are finite."""
     is_known = np.isfinite(y) & np.isfinite(x).all(axis=1)
     return y[is_known], x[is_known]
+
+
+def robust_stddev(deviations: FloatArray) -> float:
+    """Standard deviation by the median of the sizes of deviations (…), as of a normal distribution."""
+    return 1.4826 * float(np.median(np.abs(deviations)))
 
 
 def median_bias(y: FloatArray, x: FloatArray) -> float:

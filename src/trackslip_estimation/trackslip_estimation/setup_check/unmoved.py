@@ -1,14 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sources that do not follow the motion: constant fixes, unrelated gyro or headings, unsigned encoders."""
+"""Sources that do not follow the motion: frozen fixes or gyro, unrelated turns, unsigned encoders."""
 
 import numpy as np
 
-from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
+from trackslip_common.arrays import FloatArray
+from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.drive import HEADING_NOISE, USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion
-from trackslip_estimation.setup_check.grid import WINDOW
-from trackslip_estimation.setup_check.log import Fixes
+from trackslip_estimation.setup_check.finding import READ_OFF, Cause, Finding, OpenQuestion
+from trackslip_estimation.setup_check.grid import WINDOW, running_sum, window_sums
+from trackslip_estimation.setup_check.log import Fixes, Gyro
 from trackslip_estimation.setup_check.quantities import explained_distance, explained_share
 from trackslip_estimation.setup_check.sides import FASTEST
 from trackslip_estimation.setup_check.speeds import MOST_TURN
@@ -26,36 +28,41 @@ _LEAST_WINDOWS = 20
 _ROUNDING = 1e-9  # m
 _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
 
+_LEAST_EQUAL = 50  # equal readings in a span
+_MOST_SPANS = 10  # spans that are examined
+_LEAST_HIDDEN_TURN = np.radians(40.0)  # of the machine, which the gyro does not show
+_LEAST_EFFICIENCY = 0.25  # turning efficiency of the tracks, low as on ice
 
-def judge_fixes(drive: Drive) -> tuple[list[Cause], list[OpenQuestion]]:
+
+def judge_fixes(drive: Drive) -> list[Finding]:
     """Fixes that repeat, stay at one place, or move far too little while the tracks move."""
     fixes = drive.fixes
     if fixes is None or len(fixes.t) < _LEAST_PLACES:
-        return [], []
+        return []
     name, repeated = fixes.name, _repeated_distance(drive, fixes)
     distance = float(np.nansum(np.abs(drive.grid.tracks).max(axis=1)))
     if distance < _LEAST_DISTANCE:
-        return [], []
+        return []
     if repeated > max(_REPEATED * distance, _LEAST_DISTANCE):
         what = f"{name} repeats its positions while the tracks drive {repeated:.0f} m: "
         what += "a receiver that is frozen, or another column"
         needed = "watch the live positions while the machine drives"
-        return [], [OpenQuestion(what, needed, is_wrong=True)]
+        return [OpenQuestion(what, needed, is_wrong=True)]
     if (ratio := _wrong_unit_ratio(drive, distance)) > 0.0:
         evidence = (
             f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
         remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
-        return [Cause("frame", name, evidence, READ_OFF, remedy)], []
+        return [Cause("frame", name, evidence, READ_OFF, remedy)]
     extent = float(np.ptp(fixes.places, axis=0).max())
     if extent > min(_LEAST_EXTENT, _STILL * distance):
-        return [], []
+        return []
     evidence = (
         f"its positions differ by {extent:.2g} m while the tracks drive {distance:.0f} m: every receiver has "
         "more noise, so they are in another unit"
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
-    return [Cause("frame", name, evidence, READ_OFF, remedy)], []
+    return [Cause("frame", name, evidence, READ_OFF, remedy)]
 
 
 def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
@@ -69,7 +76,7 @@ def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
 
 def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
     """Distance by the tracks, m, while fixes stayed bit for bit the same, longer than a logger holds one."""
-    distances = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
+    distances = running_sum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))
     runs = equal_runs(fixes.centred_places)
     first, last = fixes.t[runs.first], fixes.t[runs.last]
     is_held = last - first > _LONGEST_HOLD
@@ -77,7 +84,7 @@ def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
     return float(np.sum(end - begin))
 
 
-def judge_turns(drive: Drive) -> list[OpenQuestion]:
+def judge_turns(drive: Drive) -> list[Finding]:
     """A gyro, or used headings, whose turns match neither the tracks nor each other.
 
     A machine that hardly turns is not judged: on clay and slopes, its tracks differ for long on straights.
@@ -102,7 +109,7 @@ def judge_turns(drive: Drive) -> list[OpenQuestion]:
     return [OpenQuestion(what, needed, is_wrong=True) for what in mismatches]
 
 
-def judge_counting(drive: Drive) -> list[OpenQuestion]:
+def judge_counting(drive: Drive) -> list[Finding]:
     """Tracks that never count backwards, while the machine turns by more than their difference.
 
     Only tracks that run against each other turn a machine like that.
@@ -123,3 +130,56 @@ def judge_counting(drive: Drive) -> list[OpenQuestion]:
         "by the same: encoders without a direction"
     )
     return [OpenQuestion(what, "turn on the spot: one track must count backwards", is_wrong=True)]
+
+
+def frozen_cause(drive: Drive, gyro: Gyro) -> Cause | None:
+    """The cause if readings stay bit for bit the same while tracks or headings turn differently."""
+    causes = (_judge_span(drive, gyro, *span) for span in frozen_spans(gyro))
+    return next((cause for cause in causes if cause is not None), None)
+
+
+def _judge_span(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
+    grid = drive.grid
+    inside = (grid.edges[:-1] >= begin) & (grid.edges[1:] <= end)
+    value = float(gyro.rates[np.searchsorted(gyro.t, begin), 2])
+    gyro_turn = window_sums(grid, np.where(inside, value * grid.cell, 0.0))
+    difference = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
+    by_tracks = difference / drive.machine.tread
+    by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
+    by_heading = np.where(np.abs(by_heading) <= HEADING_NOISE, 0.0, by_heading)  # nan stays: unknown
+    is_by_heading = _unexplained_turn(by_heading, gyro_turn) >= _LEAST_HIDDEN_TURN
+    if not is_by_heading and _unexplained_turn(by_tracks, gyro_turn) * _LEAST_EFFICIENCY < _LEAST_HIDDEN_TURN:
+        return None
+    also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
+    evidence = (
+        f"the gyro shows {value:.4g} rad/s without change for {end - begin:.0f} s, while the tracks turn "
+        f"{np.degrees(np.nansum(np.abs(by_tracks))):.0f}°{also}"
+    )
+    without = remedies.parameter("yaw_rate_sources", "[]")
+    remedy = f"Check supply and cable of the unit, or leave it out: {without}"
+    return Cause("gyro_frozen", gyro.name, evidence, READ_OFF, remedy)
+
+
+def _unexplained_turn(turns: FloatArray, gyro_turns: FloatArray) -> float:
+    """Part of the turns (n,), rad, that no multiple of ``gyro_turns`` (n,) explains.
+
+    A simulated gyro without noise is constant as long as the machine turns evenly.
+    """
+    usable = np.isfinite(turns)
+    turns, gyro_turns = turns[usable], gyro_turns[usable]
+    scale = float(turns @ gyro_turns) / max(float(gyro_turns @ gyro_turns), 1e-12)
+    return float(min(np.abs(turns).sum(), np.abs(turns - scale * gyro_turns).sum()))
+
+
+def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
+    """Spans, s, in which all readings about z are bit for bit the same; by readings, longest first."""
+    runs = equal_runs(gyro.rates[:, 2])
+    lengths = runs.lengths
+    order = [k for k in np.argsort(-lengths, kind="stable")[:_MOST_SPANS] if lengths[k] >= _LEAST_EQUAL]
+    return [(float(gyro.t[runs.first[k]]), float(gyro.t[runs.last[k]])) for k in order]
+
+
+def frozen_share(gyro: Gyro) -> float:
+    """Share of the gyro's recording in the longest frozen span."""
+    spans = frozen_spans(gyro)
+    return (spans[0][1] - spans[0][0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9) if spans else 0.0
