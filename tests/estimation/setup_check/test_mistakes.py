@@ -264,6 +264,7 @@ ONE_CAUSE_WITHOUT_HEADINGS: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "three fixes at zero at the start": (lambda _: far_fixes(0, 1, 2), "missing_value", "jumps to"),
     "latitude for longitude": (lambda log: exchanged_axes(log, 0.0), "position_axes_swapped", "Exchange"),
     "the same, 45°": (lambda log: exchanged_axes(log, 45.0), "position_axes_swapped", "Exchange"),
+    "fixes late": (MISTAKES["fixes late"].inject, "source_delay", "time_offset: -0.60"),  # no lever arm
     "sentinels of a gyro at rest": (
         lambda _: MISTAKES["sentinels of the gyro"].inject(make_drive(programme=STILL)),
         "missing_value",
@@ -479,7 +480,9 @@ ON_THE_SPOT = (
     (5.0, 0.0, 0.0),
     *2 * ((12.0, 0.8, 0.0), (6.0, 0.0, 0.35), (10.0, 0.6, 0.0), (6.0, 0.0, -0.35)),
 )
-QUESTIONS = {  # the mistake, the sensors, words of the question
+QUESTIONS: dict[
+    str, tuple[Callable[[Log], Log], dict[str, Any], str]
+] = {  # the mistake, the sensors, words of the question
     "tracks without a direction": (without_direction, {}, "without a direction"),
     "the same without headings": (without_direction, {"has_heading": False}, "without a direction"),
     "the same, fixes once a second": (

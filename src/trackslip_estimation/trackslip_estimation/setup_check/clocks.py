@@ -32,7 +32,7 @@ from trackslip_estimation.setup_check.finding import (
 )
 from trackslip_estimation.setup_check.fit import path_delay_logs
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
-from trackslip_estimation.setup_check.log import ComplexArray, Fixes, Gyro, Log, Tracks
+from trackslip_estimation.setup_check.log import Array, Fixes, Gyro, Log, Tracks
 from trackslip_estimation.setup_check.path import thin_fixes
 
 LARGEST_DELAY = 2.0  # s, largest delay that is tried
@@ -560,7 +560,7 @@ def _fix_shift(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     return _Shift(shift, float(r[best]), without, float(gain))
 
 
-def _window_speeds(t: FloatArray, places: FloatArray | ComplexArray, times: FloatArray) -> FloatArray:
+def _window_speeds(t: FloatArray, places: Array, times: FloatArray) -> FloatArray:
     """(k,) speeds by places (n,), m, in windows about the times; nan outside the readings."""
     begin, end = (np.interp(times + half, t, places, np.nan, np.nan) for half in (-_WINDOW / 2, _WINDOW / 2))
     speeds = np.abs(end - begin) / _WINDOW

@@ -110,7 +110,7 @@ class Drive:
         """(w,) distance by the fixes, m; nan where there is none."""
         if self.fixes is None:
             return np.full(len(self.tracks_over_tread), np.nan)
-        return np.abs(window_displacements(self.fixes, self.grid))
+        return np.asarray(np.abs(window_displacements(self.fixes, self.grid)))
 
     @property
     def distance_by_fixes(self) -> float:

@@ -57,12 +57,12 @@ def _interpolate(t: FloatArray, times: FloatArray, values: Array) -> Array:
         return np.full(len(t), np.nan, values.dtype)
     after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
     is_near = (times[after] - times[after - 1] <= _LONGEST_STEP) & (t >= times[0]) & (t <= times[-1])
-    return np.where(is_near, np.interp(t, times, values), np.nan)
+    return np.asarray(np.where(is_near, np.interp(t, times, values), np.nan))
 
 
 def window_displacements(fixes: Fixes, grid: Grid) -> ComplexArray:
     """(w,) displacements in windows, m; nan where there is no fix."""
-    return np.diff(place_at(fixes, grid.window_edges))
+    return np.asarray(np.diff(place_at(fixes, grid.window_edges)))
 
 
 def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArray:

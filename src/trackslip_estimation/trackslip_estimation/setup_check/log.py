@@ -96,7 +96,7 @@ class Fixes:
     def centred_places(self) -> ComplexArray:
         """(n,) places about their mean, m."""
         z = self.complex_places
-        return z - z.mean() if len(z) else z
+        return np.asarray(z - z.mean() if len(z) else z)
 
 
 @dataclass(frozen=True)
