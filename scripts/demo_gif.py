@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 
 from trackslip_common.vehicle import Kinematics
-from trackslip_tools.replay.dead_reckoning import Path as Reckoned
+from trackslip_tools.replay.series import Path as Reckoned
 from trackslip_tools.replay.series import Series
 
 FRAMES, FRAMES_PER_SECOND = 80, 10

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
-from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
+from trackslip_tools.replay.dead_reckoning import DeadReckoner
+from trackslip_tools.replay.series import Path, series_of
 
 MS = 1_000_000
 EPOCH_NS = 1_700_000_000_000_000_000  # resolution of float seconds here: 240 ns
@@ -40,9 +41,10 @@ def reckoned(
     """Path of measurements in two batches, those of the gyro last."""
     reckoner = DeadReckoner(vehicle(), with_gyro=gyro is not None)
     for batch in (sprockets[: len(sprockets) // 2], [*sprockets[len(sprockets) // 2 :], *(gyro or ())]):
-        reckoner.add(rows_of([(0, m) for m in batch], ("sprockets", "imu")))
-    reckoner.begin(start_ns, start)
-    path = reckoner.advance(whole=True)
+        x, y, heading = start[:, np.newaxis]
+        reference = series_of(stamp_ns=[start_ns], x=x, y=y, heading=heading).rows
+        reckoner.add(rows_of([(0, m) for m in batch], ("sprockets", "imu")), reference)
+    path, _ = reckoner.result()
     assert path is not None
     return path
 

@@ -7,59 +7,77 @@ r, B       rolling radius, tread  m
 V          r (ω_L + ω_R)/2        m/s, no slip
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
-from trackslip_tools.replay.series import series_of
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
+from trackslip_tools.replay.scoring import PathErrors, Score
+from trackslip_tools.replay.series import Path, series_of
 
 _MAX_DISORDER_NS = 2_000_000_000  # largest disorder of stamps: the estimator's window
 _GYRO_TIMEOUT_NS = 60_000_000_000  # gyro silence after which its rate is held constant
 _MAX_VALUE = 1e9  # rad, rad/s: largest plausible value
-
-
-@dataclass(frozen=True, eq=False)
-class Path:
-    """Poses over time in the site frame."""
-
-    stamps_ns: IntArray  # (n,) increasing
-    poses: FloatArray  # (n, 3) x m, y m, heading rad (continuous)
-    covariances: FloatArray | None = None  # (n, 3, 3) of the poses, if the messages of a reference have them
-
-    def poses_at(self, stamps_ns: IntArray) -> FloatArray:
-        """(k, 3) poses at other stamps, linear between samples; nan outside the path."""
-        origin = self.stamps_ns[0]
-        t, requested = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
-        columns = [np.interp(requested, t, column, left=np.nan, right=np.nan) for column in self.poses.T]
-        return np.stack(columns, axis=-1)
+_PATH = np.dtype([("stamp_ns", np.int64), ("pose", np.float64, (3,))])
 
 
 class DeadReckoner:
-    """Dead reckoning of arrivals in pieces, from a given pose on."""
+    """One dead-reckoned path in pieces, from the first pose of a reference; its score against the reference.
+
+    The path is thinned for plots, the score uses all of it.
+    """
 
     def __init__(self, vehicle: Kinematics, *, with_gyro: bool) -> None:
         self._vehicle, self._with_gyro = vehicle, with_gyro
         self._sprockets: list[Rows] = []
         self._gyro: list[Rows] = []
         self._end: tuple[int, FloatArray] | None = None  # stamp and pose at the end of the path so far
+        self._early_reference: list[Rows] = []  # rows of the reference until the start
+        self._errors, self._drawn = PathErrors(), GrowingRows(_PATH, MOST_DRAWN)
         self.first_ns: int | None = None  # stamp of the first sprocket sample
 
-    def add(self, rows: Rows) -> None:
-        """Add rows of ``ARRIVAL``."""
-        for parts, samples in ((self._sprockets, _sprocket_samples(rows)), (self._gyro, _yaw_rates(rows))):
+    def add(self, arrivals: Rows, reference: Rows | None) -> None:
+        """Add both; rows of the reference have stamp_ns, x, y, heading."""
+        for parts, samples in (
+            (self._sprockets, _sprocket_samples(arrivals)),
+            (self._gyro, _yaw_rates(arrivals)),
+        ):
             if len(samples):
                 parts.append(samples)
         if self.first_ns is None and self._sprockets:
             self.first_ns = int(self._sprockets[0]["stamp_ns"].min())
+        if self._end is None:
+            self._early_reference += [] if reference is None else [reference]
+            self._begin(self.first_ns)
+        self._extend(self._advance(), reference)
 
-    def begin(self, stamp_ns: int, pose: FloatArray) -> None:
-        """Start from this pose (3,) at a stamp."""
-        self._end = stamp_ns, pose
+    def result(self) -> tuple[Path | None, Score | None]:
+        """Path and score after the last piece."""
+        self._extend(self._advance(whole=True), None)
+        rows = self._drawn.rows()
+        return (Path(rows["stamp_ns"], rows["pose"]) if len(rows) else None), self._errors.score
 
-    def advance(self, *, whole: bool = False) -> Path | None:
+    def _begin(self, first_ns: int | None) -> None:
+        """Start at the first reference pose with a heading at or after the first sprocket sample."""
+        if first_ns is None or not self._early_reference:
+            return
+        reference = np.concatenate(self._early_reference)
+        later = reference[(reference["stamp_ns"] >= first_ns) & np.isfinite(reference["heading"])]
+        if len(later):
+            start = later[np.argmin(later["stamp_ns"])]
+            self._end = int(start["stamp_ns"]), np.array([start[name] for name in ("x", "y", "heading")])
+            self._early_reference.clear()
+
+    def _extend(self, path: Path | None, reference: Rows | None) -> None:
+        nothing = Path(np.empty(0, np.int64), np.empty((0, 3)))
+        self._errors.add(path or nothing, reference)
+        if path is not None:
+            rows = np.empty(len(path.stamps_ns), _PATH)
+            rows["stamp_ns"], rows["pose"] = path.stamps_ns, path.poses
+            self._drawn.add(rows if not len(self._drawn) else rows[1:])
+
+    def _advance(self, *, whole: bool = False) -> Path | None:
         """The next piece of the path, as far as no late sample can change it, or ``whole`` to the end."""
         if self._end is None or not self._sprockets or (self._with_gyro and not self._gyro):
             return None
@@ -72,7 +90,7 @@ class DeadReckoner:
         end = len(sprockets) if whole else int(np.searchsorted(sprockets["stamp_ns"], until_ns, side="right"))
         if not end or sprockets["stamp_ns"][end - 1] <= self._end[0]:
             return None
-        path = dead_reckon(self._vehicle, sprockets[:end], *self._end, rates)
+        path = _dead_reckon(self._vehicle, sprockets[:end], *self._end, rates)
         self._end = int(path.stamps_ns[-1]), path.poses[-1]
         self._sprockets = [sprockets[end - 1 :]]
         if rates is not None:
@@ -106,7 +124,7 @@ def _sort_by_stamp(rows: Rows) -> Rows:
     return rows[np.argsort(rows["stamp_ns"], kind="stable")]
 
 
-def dead_reckon(
+def _dead_reckon(
     vehicle: Kinematics, sprockets: Rows, start_ns: int, start_pose: FloatArray, gyro: Rows | None
 ) -> Path:
     """Path from ``start_pose`` (3,) at ``start_ns``, without slip.

@@ -35,15 +35,20 @@ from trackslip_tools.replay.comparison import (
     slip_rows,
     tilt_rows,
 )
-from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.errors import PairedErrors, PathErrors, SlipErrors
+from trackslip_tools.replay.dead_reckoning import DeadReckoner
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import ProcessingCounts
 from trackslip_tools.replay.parts import LearnedValues, Part
-from trackslip_tools.replay.reckoning import Reckoning
-from trackslip_tools.replay.scoring import Score, path_of, path_of_series
-from trackslip_tools.replay.series import Series, SeriesCollector, reduce_columns, sort_by_stamp
+from trackslip_tools.replay.scoring import (
+    PairedErrors,
+    PathErrors,
+    Score,
+    SlipErrors,
+    path_of,
+    path_of_series,
+)
+from trackslip_tools.replay.series import Path, Series, SeriesCollector, reduce_columns, sort_by_stamp
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.stuck_tracks import FixGaps
 from trackslip_tools.replay.travel import Travel
@@ -130,7 +135,7 @@ class Collector:
             "swing", "angle", lambda true: np.unwrap(true["angle"])[np.newaxis], is_angle=True
         )
         self._reckonings = {
-            name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
+            name: DeadReckoner(vehicle, with_gyro=name == "encoder_gyro")
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
         }
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time series of a topic for scoring: named columns, by stamp."""
+"""Time series of a topic for scoring, and paths: named columns, by stamp."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -52,6 +52,22 @@ def series_of(**columns: Any) -> Series:
     for name, column in arrays.items():
         rows[name] = column
     return Series(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Poses over time in the site frame."""
+
+    stamps_ns: IntArray  # (n,) increasing
+    poses: FloatArray  # (n, 3) x m, y m, heading rad (continuous)
+    covariances: FloatArray | None = None  # (n, 3, 3) of the poses, if the messages of a reference have them
+
+    def poses_at(self, stamps_ns: IntArray) -> FloatArray:
+        """(k, 3) poses at other stamps, linear between samples; nan outside the path."""
+        origin = self.stamps_ns[0]
+        t, requested = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
+        columns = [np.interp(requested, t, column, left=np.nan, right=np.nan) for column in self.poses.T]
+        return np.stack(columns, axis=-1)
 
 
 class SeriesCollector:

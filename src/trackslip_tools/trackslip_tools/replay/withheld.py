@@ -10,9 +10,8 @@ import numpy as np
 
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_common.arrays import Rows
-from trackslip_tools.replay.errors import PathErrors
 from trackslip_tools.replay.inputs import LoggedMessages
-from trackslip_tools.replay.scoring import Score
+from trackslip_tools.replay.scoring import PathErrors, Score
 from trackslip_tools.replay.series import reduce_columns
 
 

@@ -11,7 +11,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
-from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.series import Path
 from trackslip_tools.report import plan_shapes
 from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, curve_colour, curve_label
 from trackslip_tools.report.plan_shapes import machine_size

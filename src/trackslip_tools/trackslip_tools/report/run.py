@@ -14,10 +14,9 @@ from trackslip_common.arrays import BoolArray, Rows
 from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.scoring import path_of
-from trackslip_tools.replay.series import sort_by_stamp
+from trackslip_tools.replay.series import Path, sort_by_stamp
 from trackslip_tools.replay.soil import force_rows, soil_rows
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, make_numbers

@@ -24,9 +24,9 @@ from trackslip_estimation.slip.estimator import make_estimate
 from trackslip_estimation.slip.log import make_log
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.output import message_of
 from trackslip_tools.replay.run import default_reference
+from trackslip_tools.replay.scoring import PathErrors, SlipErrors
 from trackslip_tools.replay.series import Series
 from trackslip_tools.replay.sorted_inputs import read_sorted_inputs
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth

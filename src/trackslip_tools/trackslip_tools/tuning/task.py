@@ -20,7 +20,7 @@ import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
-from trackslip_common.arrays import BoolArray, FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.topics import TRUE_ODOMETRY
 from trackslip_estimation.slip.log import Log, make_log, run_log
@@ -29,9 +29,9 @@ from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import SPROCKETS
 from trackslip_estimation.slip.window import Records
-from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.run import default_reference
-from trackslip_tools.replay.scoring import nees_of_each, path_of_series, score
+from trackslip_tools.replay.scoring import PathErrors, path_of_series
+from trackslip_tools.replay.series import Path
 from trackslip_tools.replay.sorted_inputs import read_sorted_inputs
 from trackslip_tools.tuning.plan import change_parameters
 
@@ -43,14 +43,6 @@ _MAX_REFERENCE_SAMPLES = 2000  # samples of a reference, evenly spread, that are
 
 Job = tuple[int, Mapping[str, float]]
 """Number of the bag, values."""
-
-
-class _Run(NamedTuple):
-    """Results of a run over a log, for scoring."""
-
-    innovations: "_Innovations"
-    means: FloatArray  # (m, 3) poses at the requested entries
-    covariances: FloatArray  # (m, 3, 3)
 
 
 class Score(NamedTuple):
@@ -80,11 +72,20 @@ class Task:
         Raises:
             InputError: a value is rejected.
         """
-        p = change_parameters(self.p, values)
-        is_scored = self._is_near_reference()
-        result = _run_filter(self.log, p, is_scored)
-        errors = self._reference_errors(self.log.rest["stamp_ns"][is_scored], result)
-        return Score(*result.innovations.score(), *errors)
+        p, is_scored = change_parameters(self.p, values), self._is_near_reference()
+        innovations = _Innovations(list(p.timeouts_ns()))
+        means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
+        for block in run_log(self.log, p):
+            stretch = slice(block.first, block.first + len(block.states))
+            innovations.add(self.log.rest["source"][stretch], block.updates)
+            means.append(block.states["mean"][is_scored[stretch]][:, POSE])
+            covariances.append(block.states["covariance"][is_scored[stretch]][:, POSE, POSE])
+        errors, poses = PathErrors(), np.concatenate(means)
+        if self.reference is not None and len(poses):
+            poses[:, 2] = np.unwrap(poses[:, 2])
+            path = Path(self.log.rest["stamp_ns"][is_scored], poses)
+            errors.compare(path, self.reference, np.concatenate(covariances))
+        return Score(*innovations.score(), *_error_numbers(errors))
 
     def _is_near_reference(self) -> BoolArray:
         """(k,) whether an entry is a sprocket sample (with an estimate) next to a sample of the reference."""
@@ -97,24 +98,15 @@ class Task:
             is_near[published[np.clip(after - 1, 0, published.size - 1)]] = True
         return is_near
 
-    def _reference_errors(self, stamps_ns: IntArray, result: _Run) -> tuple[float, float, float, float]:
-        """The last four fields of a ``Score``."""
-        if self.reference is None or not len(stamps_ns):
-            return math.nan, math.nan, math.nan, math.nan
-        poses = result.means.copy()
-        poses[:, 2] = np.unwrap(poses[:, 2])
-        path = Path(stamps_ns, poses)
-        errors = score(path, self.reference)
-        if errors is None:
-            return math.nan, math.nan, math.nan, math.nan
-        size = 2 if errors.heading is None else 3  # dimensions of the reference's pose
-        nees, log_dets = nees_of_each(path, result.covariances, self.reference, size)
-        heading = math.nan if errors.heading is None else errors.heading
-        known = np.isfinite(nees)
-        if not known.any():
-            return errors.position, heading, math.nan, math.nan
-        likelihood = -0.5 * float(np.mean((nees + log_dets)[known])) - 0.5 * size * math.log(2.0 * math.pi)
-        return errors.position, heading, float(np.mean(nees[known])), likelihood
+
+def _error_numbers(errors: PathErrors) -> tuple[float, float, float, float]:
+    """The last four fields of a ``Score``."""
+    score = errors.score
+    position, heading = (None, None) if score is None else (score.position, score.heading)
+    nees = errors.nees_position if heading is None else errors.nees
+    numbers = (position, heading, nees, errors.log_likelihood)
+    position, heading, nees, likelihood = (math.nan if one is None else one for one in numbers)
+    return position, heading, nees, likelihood
 
 
 def score_of(tasks: Sequence[Task], job: Job) -> Score:
@@ -134,19 +126,6 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
         R = None if reference.covariances is None else reference.covariances[::stride]
         reference = Path(reference.stamps_ns[::stride], reference.poses[::stride], R)
     return Task(name, make_log(arrivals, p), p, reference)
-
-
-def _run_filter(log: Log, p: SlipEstimatorParameters, is_scored: BoolArray) -> _Run:
-    """Innovations of one run over a log, and the poses after the entries where ``is_scored`` (k,)."""
-    innovations = _Innovations(list(p.timeouts_ns()))
-    means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
-    for block in run_log(log, p):
-        stretch = slice(block.first, block.first + len(block.states))
-        innovations.add(log.rest["source"][stretch], block.updates)
-        is_scored_here = is_scored[stretch]
-        means.append(block.states["mean"][is_scored_here][:, POSE])
-        covariances.append(block.states["covariance"][is_scored_here][:, POSE, POSE])
-    return _Run(innovations, np.concatenate(means), np.concatenate(covariances))
 
 
 class _Innovations:
