@@ -14,7 +14,7 @@ from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComp
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 
 STEP_NS = 10_000_000
-FIELDS = ("x", "y", "heading", "v_x", "v_y", "yaw_rate")
+FIELDS = ("x", "y", "z", "roll", "pitch", "heading", "v_x", "v_y", "yaw_rate")
 
 
 def odometry(stamps: Any, **changes: Any) -> Rows:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates as arrays, as tables of pandas and polars, and as files."""
 
+import importlib
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -16,12 +17,12 @@ import polars as pl
 import pymap3d
 from numpy.typing import NDArray
 
-from trackslip._frames import to_pandas
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
 from trackslip_common.units import NS_PER_S
 from trackslip_estimation.gnss.localizer import Datum
+from trackslip_estimation.slip.mounting import quaternion_from_half_angles
 
 _AXES = {
     "pose": ("x", "y", "yaw"),
@@ -106,6 +107,19 @@ class Estimates:
         return path
 
 
+def to_pandas(columns: Mapping[str, NDArray[Any]]) -> Any:
+    """A ``pandas.DataFrame`` of (n,) columns.
+
+    Raises:
+        InputError: pandas is not installed.
+    """
+    try:
+        pandas = importlib.import_module("pandas")
+    except ImportError as error:
+        raise InputError("to_pandas: pandas is not installed; accepted: pip install pandas") from error
+    return pandas.DataFrame(dict(columns))
+
+
 def estimates_of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
     """Estimates from (n,) ESTIMATE in the order of their stamps."""
     tilt, swing = rows["tilt"], rows["swing"]
@@ -140,14 +154,8 @@ def _tum(estimates: Estimates, _: _DatumValues | None) -> str:
     """Lines ``timestamp tx ty tz qx qy qz qw``; flat ground where the tilt is unknown."""
     roll, pitch, z = np.nan_to_num(estimates.tilt).T
     yaw = estimates.pose[:, 2]
-    (cr, cp, cy), (sr, sp, sy) = (
-        [function(angle / 2.0) for angle in (roll, pitch, yaw)] for function in (np.cos, np.sin)
-    )
-    turn = (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
+    turn = quaternion_from_half_angles(
+        [(np.sin(angle / 2.0), np.cos(angle / 2.0)) for angle in (roll, pitch, yaw)]
     )
     rows = np.column_stack((estimates.pose[:, :2], z, *turn)).tolist()
     stamps = [f"{ns // NS_PER_S}.{ns % NS_PER_S:09d}" for ns in estimates.stamp_ns.tolist()]

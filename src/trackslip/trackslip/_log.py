@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip._frames import to_pandas
+from trackslip._estimates import to_pandas
 from trackslip._values import as_text
 from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import absolute_name, open_bag, require_topics

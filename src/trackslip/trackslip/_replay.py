@@ -79,28 +79,22 @@ def replay(
         as_count("seed", seed),
         as_texts("remap", remap),
         as_name("reference", reference),
+        as_name("vehicle", vehicle),
+        as_texts("params", params),
+        setting_texts(settings),
     )
     with (
         announce_compilation(),
         collect_output() as notes,
         open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
     ):
-        vehicle, params = as_name("vehicle", vehicle), as_texts("params", params)
-        return replay_open_bag(opened, options, notes, vehicle, params, setting_texts(settings))
+        return replay_open_bag(opened, options, notes)
 
 
-def replay_open_bag(
-    bag: Bag,
-    options: ReplayOptions,
-    notes: list[str],
-    vehicle: str | None = None,
-    params: Sequence[str] = (),
-    settings: Sequence[str] = (),
-    datum: Datum | None = None,
-) -> Result:
-    """Replay an open bag; ``notes``: list of ``collect_output``; ``settings``: as for ``--set``."""
-    p, filters, reference = replay_options.read_settings(bag, options, params, settings, vehicle)
-    soil_p = replay_options.soil_parameters_of(bag, p, params, settings)
+def replay_open_bag(bag: Bag, options: ReplayOptions, notes: list[str], datum: Datum | None = None) -> Result:
+    """Replay an open bag; ``notes``: list of ``collect_output``."""
+    p, filters, reference = replay_options.read_settings(bag, options)
+    soil_p = replay_options.soil_parameters_of(bag, p, options.params, options.set)
     rows = GrowingRows(ESTIMATE)
     result = run.replay(bag, p, filters, reference, soil_p, lambda part: rows.add(part.estimates))
     all_notes = (*([bag.damage] if bag.damage else []), *notes)

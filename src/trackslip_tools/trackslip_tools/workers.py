@@ -19,7 +19,13 @@ from threading import current_thread, main_thread
 from typing import Any, Protocol, TypeVar
 
 from trackslip_common.errors import InputError
-from trackslip_tools.warm_up import compile_kernels
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Sprockets
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import to_records
+from trackslip_estimation.soil.records import Hydraulics
+from trackslip_estimation.soil.soil_estimator import SoilEstimator
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -77,7 +83,7 @@ def _process_pool(count: int, shared: Any) -> Iterator[Map]:
         with _process_environment():
             for _ in range(count):
                 pool.submit(os.getpid)  # starts a process
-        compile_kernels()
+        _compile_kernels()
         yield map_items
     except BaseException:
         for process in set(multiprocessing.active_children()) - others:
@@ -85,6 +91,14 @@ def _process_pool(count: int, shared: Any) -> Iterator[Map]:
         pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
+
+
+def _compile_kernels() -> None:
+    """Compile by a step of each estimator that calls all kernels; fast if they are cached."""
+    estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}))
+    samples = [Sprockets("sprockets", k * 10_000_000, 1.0, 1.0, (0.01 * k, 0.01 * k)) for k in range(3)]
+    estimator.process_records(to_records(samples, estimator.sources))
+    SoilEstimator(load_soil_parameters()).advance(Hydraulics(0, 0.0, 0.0, 0.0, 0.0))
 
 
 def _initialise_process(shared: Any) -> None:

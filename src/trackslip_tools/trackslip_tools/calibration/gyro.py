@@ -149,7 +149,7 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
 def _fit_scale_and_delay(pairs: Sequence[_HeadingsWithGyro]) -> tuple[Fit | None, float]:
     """Fit of 1/s, remaining δ/s, and b/s of each recording; and δ."""
     parts = [pair.increments() for pair in pairs]
-    data = Increments(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    data = Increments.of_parts(parts)
     counts, delay, fit = [len(part.z) for part in parts], 0.0, None
     for _ in range(_ITERATIONS):
         designs = [pair.design_matrix(delay) for pair in pairs]

@@ -18,6 +18,7 @@ all this is cheap.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,11 @@ class Increments(NamedTuple):
     variance_after: FloatArray  # (n,) stated variance of the later reading
     walk: FloatArray  # (n,) w
     joined: BoolArray  # (n,) whether the earlier reading ends the increment before
+
+    @staticmethod
+    def of_parts(parts: "Sequence[Increments]") -> "Increments":
+        """The increments of several parts, one after the other."""
+        return Increments(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def half_width(stddev: float, dof: int) -> float:

@@ -67,9 +67,7 @@ def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
         return empty_finding(
             f"straights with fixes of {distance:.1f} m in all; needed: {LEAST_DISTANCE:g} m", "m"
         )
-    data = Increments(
-        *(np.concatenate(columns) for columns in zip(*(part for part, _ in parts), strict=True))
-    )
+    data = Increments.of_parts([part for part, _ in parts])
     fit = fit_increments(np.concatenate([angles for _, angles in parts])[:, np.newaxis], data)
     if fit is None:
         return empty_finding("too few fixes on the straights", "m")
@@ -80,8 +78,7 @@ def turning_gain(recordings: Sequence[Recording], gyro: Gyro) -> TurningGain:
     """r κ/B, from the turns."""
     turned, differences = np.empty(0), np.empty(0)
     for recording in recordings:
-        turns = motion_spans(recording, Motion.TURNING, _SHORTEST_TURN)
-        edges = np.array(turns).reshape(-1, 2)[_has_gyro(recording, turns)]
+        edges = _edges_with_gyro(recording, Motion.TURNING, _SHORTEST_TURN)
         if len(edges):
             angles = np.interp(edges, recording.sprockets.t, recording.angle_difference)
             differences = np.append(differences, np.diff(angles))
@@ -104,8 +101,7 @@ def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, r
         return empty_finding("the turns do not show r κ/B", "rad/m")
     turned, distances = np.empty(0), np.empty(0)
     for recording in recordings:
-        straights = motion_spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
-        edges = np.array(straights).reshape(-1, 2)[_has_gyro(recording, straights)]
+        edges = _edges_with_gyro(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
         if len(edges):
             t = recording.sprockets.t
             distances = np.append(distances, radius * np.diff(np.interp(edges, t, recording.mean_angle)))
@@ -121,6 +117,13 @@ def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, r
     return make_finding(
         fit.values[0], fit.half_width(), "rad/m", f"{len(distances)} straights, {distance:.1f} m"
     )
+
+
+def _edges_with_gyro(recording: Recording, motion: Motion, least: float) -> FloatArray:
+    """(n, 2) begin and end of the spans of ``motion``, ≥ ``least`` s, with the gyro recorded."""
+    spans = motion_spans(recording, motion, least)
+    edges: FloatArray = np.array(spans).reshape(-1, 2)[_has_gyro(recording, spans)]
+    return edges
 
 
 def _has_gyro(recording: Recording, stretches: Sequence[Span]) -> BoolArray:

@@ -3,7 +3,6 @@
 """``trackslip live``: serves a page that shows the machine, from the running graph or a bag."""
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, show
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_tools.cli import publish, replay_options, shared_options
-from trackslip_tools.cli.nodes import load_node_module
+from trackslip_tools.cli.nodes import run_node
 from trackslip_tools.cli.progress import progress_bar, replay_progress
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 
@@ -57,10 +56,8 @@ def run(args: argparse.Namespace) -> int:
                 return _serve(whole, p, args, setup)
     if any(option is not None for option in (args.rate, args.start, args.vehicle)):
         raise InputError("--rate, --start, --vehicle: accepted only together with a BAG")
-    words = [word for name, value in options.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
-    words += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
-    code: int = load_node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *words])
-    return code
+    namespace = ("-r", f"__ns:=/{args.namespace.strip('/')}") if args.namespace else ()
+    return run_node("trackslip_tools.nodes.live", "live", options, *namespace)
 
 
 def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result) -> int:
@@ -105,8 +102,8 @@ def bag_with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
     from trackslip_tools.replay.run import replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
-    p = replay_options.parameters_of(bag, [], [], vehicle)
-    soil_p = replay_options.soil_parameters_of(bag, p, [], [])
+    p = replay_options.parameters_of(bag, vehicle=vehicle)
+    soil_p = replay_options.soil_parameters_of(bag, p)
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
         with EstimateWriter(path, p) as writer, progress_bar(bag.duration_s, "replaying") as advance:

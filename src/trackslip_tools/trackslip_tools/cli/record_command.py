@@ -3,9 +3,8 @@
 """``trackslip record``: the recorder, with its parameters as options."""
 
 import argparse
-import json
 
-from trackslip_tools.cli.nodes import load_node_module, shorten_logs
+from trackslip_tools.cli.nodes import run_node, shorten_logs
 
 EXAMPLE = "trackslip record --output runs/field_3 --more-topics '/gnss.*' --split-duration 600"
 
@@ -29,7 +28,5 @@ def run(args: argparse.Namespace) -> int:
     """Run the node until it ends; returns its exit code."""
     names = ("output", "more_topics", "split_size", "split_duration", "max_disk")
     options = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    words = [word for name, value in options.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
     shorten_logs()
-    code: int = load_node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *words])
-    return code
+    return run_node("trackslip_bags.nodes.record", "record", options)

@@ -80,8 +80,7 @@ def _next_command(args: argparse.Namespace, *, has_failed: bool) -> str:
 def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
     """Replay with the options, and write ``--output`` if given."""
     replay_options.note_damage(bag)
-    options = replay_options.options_of(args)
-    p, filters, reference = replay_options.read_settings(bag, options, args.params, args.set, args.vehicle)
+    p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args))
     soil_p = replay_options.soil_parameters_of(bag, p, args.params, args.set)
     learned, _ = learned_before_bag(bag, p)
     with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:

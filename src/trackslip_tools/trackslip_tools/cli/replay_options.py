@@ -45,7 +45,7 @@ _POSE_TYPES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Part of a bag to replay, hidden inputs, and the topic to score against."""
+    """Part of a bag to replay, hidden inputs, the topic to score against, and parameters over the bag's."""
 
     start: float = 0.0  # s from the bag's first message
     stop: float = math.inf  # s from the bag's first message
@@ -54,6 +54,9 @@ class ReplayOptions:
     seed: int = 0
     remap: Sequence[str] = ()  # from:=to
     reference: str | None = None  # topic
+    vehicle: str | None = None  # a name of ``config/vehicles``, or a file
+    params: Sequence[str] = ()  # parameter files
+    set: Sequence[str] = ()  # node.parameter=value
 
     def filters(self) -> InputFilters:
         """The input filters of these options.
@@ -116,7 +119,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 
 def parameters_of(
-    bag: Bag, files: Iterable[str], settings: Iterable[str], vehicle: str | None = None
+    bag: Bag, files: Iterable[str] = (), settings: Iterable[str] = (), vehicle: str | None = None
 ) -> SlipEstimatorParameters:
     """Defaults, overridden in turn by the bag's parameters, the named vehicle, files, and ``--set``.
 
@@ -156,7 +159,7 @@ def _antenna_of(vehicle: str, bag_layer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def soil_parameters_of(
-    bag: Bag, p: SlipEstimatorParameters, files: Iterable[str], settings: Iterable[str]
+    bag: Bag, p: SlipEstimatorParameters, files: Iterable[str] = (), settings: Iterable[str] = ()
 ) -> SoilEstimatorParameters | None:
     """As ``parameters_of``, for the soil estimator with the vehicle of ``p``; None without hydraulics.
 
@@ -236,11 +239,7 @@ def _known_parameters(node: str, values: Mapping[str, Any], where: str) -> set[s
 
 
 def read_settings(
-    bag: Bag,
-    options: ReplayOptions,
-    files: Iterable[str],
-    settings: Iterable[str],
-    vehicle: str | None = None,
+    bag: Bag, options: ReplayOptions
 ) -> tuple[SlipEstimatorParameters, InputFilters, str | None]:
     """Parameters, input filters, and the topic to score against.
 
@@ -248,7 +247,7 @@ def read_settings(
         InputError: a file, a name or a value is rejected, or an option names an unknown topic.
     """
     filters, reference = options.filters(), relative_name(options.reference or "") or None
-    p = parameters_of(bag, files, settings, vehicle)
+    p = parameters_of(bag, options.params, options.set, options.vehicle)
     _require_named_topics(bag, p, filters, reference)
     return p, filters, reference
 
@@ -258,7 +257,7 @@ def check_setup(bag: Bag, vehicle: str | None = None) -> Result | None:
     if not any(relative_name(topic) == SPROCKETS for topic in bag.topics):
         return None
     with collect_output():  # suppresses the line on the vehicle, printed with the rest
-        p = parameters_of(bag, [], [], vehicle)
+        p = parameters_of(bag, vehicle=vehicle)
     result = check_bag(bag, p)
     show(setup_summary(result))
     return result

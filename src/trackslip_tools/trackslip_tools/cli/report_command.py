@@ -4,6 +4,7 @@
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,8 +106,9 @@ def _replay_run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, *further: Watch
 ) -> Run:
     """Run over a bag with a parameter file; ``recording``: contents of the bag, if already read."""
-    options, files = replay_options.options_of(args), [] if name == _OWN_PARAMETERS else [name]
-    p, filters, reference = replay_options.read_settings(bag, options, files, args.set, args.vehicle)
+    files = [] if name == _OWN_PARAMETERS else [name]
+    options = replace(replay_options.options_of(args), params=files)
+    p, filters, reference = replay_options.read_settings(bag, options)
     soil_p = replay_options.soil_parameters_of(bag, p, files, args.set)
     recording = recording or read_recording(bag, filters, args.namespace)
     details = Details()

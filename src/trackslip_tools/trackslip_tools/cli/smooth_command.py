@@ -38,9 +38,7 @@ def run(args: argparse.Namespace) -> int:
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
         replay_options.note_damage(bag)
-        p, filters, reference = replay_options.read_settings(
-            bag, options, args.params, args.set, args.vehicle
-        )
+        p, filters, reference = replay_options.read_settings(bag, options)
         written = SmoothedWriter(args.output, p) if args.output else nullcontext()
         with written as writer, progress_bar(bag.duration_s, "smoothing") as advance:
             result = smooth_bag(bag, p, filters, reference, _watch(writer, advance))

@@ -84,10 +84,7 @@ def run(args: argparse.Namespace) -> int:
 def _load_task(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
     with open_bag(path, args.namespace) as bag:
         replay_options.note_damage(bag)
-        options = replay_options.options_of(args)
-        p, filters, reference = replay_options.read_settings(
-            bag, options, args.params, args.set, args.vehicle
-        )
+        p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args))
         setup = check_bag(bag, p, filters)
         show(("" if setup.is_plausible else f"{path}: ") + setup_summary(setup), file=sys.stderr)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

@@ -4,7 +4,7 @@
 
 import json
 from importlib import resources
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource, DatetimeTicker, DatetimeTickFormatter, Range1d
@@ -12,14 +12,12 @@ from bokeh.plotting import figure
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader
 
-from trackslip_tools.live.strips import LINES, PANELS, Line, Strips
+from trackslip_tools.live.strips import LINES, PANELS, Strips
 from trackslip_tools.report.panel import BLUE, DARK, GREEN, ORANGE, PURPLE, Panel
 from trackslip_tools.report.plots import style_plot, time_plot
-from trackslip_tools.report.quantities import FieldCurve, Quantity
 
 _STRIP_HEIGHT, _STRIP_BORDER = 190, 78  # pixels
 _CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours", "days"), "%H:%M:%S")
-_SLIP_RANGE, _RESERVE_RANGE = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
 _HEIGHT = 480
 
 
@@ -28,18 +26,6 @@ class ServedFile(NamedTuple):
 
     kind: str
     content: bytes
-
-
-class Gauge(NamedTuple):
-    """A bar that shows the newest point of a curve."""
-
-    group: str
-    label: str
-    line: int  # index in ``LINES``
-    panel: int
-    unit: str
-    low: float | None  # lower end of the range; None: that of the panel
-    high: float | None
 
 
 def page_files(title: str) -> dict[str, ServedFile]:
@@ -52,8 +38,11 @@ def page_files(title: str) -> dict[str, ServedFile]:
         "panels": len(PANELS),
     }
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
-    gauges = [gauge for k, line in enumerate(LINES) if (gauge := _make_gauge(k, line)) is not None]
-    groups = {name: [g for g in gauges if g.group == name] for name in ("Slip", "Thrust", "Reserve", "Soil")}
+    groups: dict[str, list[dict[str, Any]]] = {name: [] for name in ("Slip", "Thrust", "Reserve", "Soil")}
+    for k, line in enumerate(LINES):
+        if (gauge := line.quantity.gauge) is not None:
+            unit = PANELS[line.panel].axis.rpartition(", ")[2]
+            groups[gauge.group].append({**gauge._asdict(), "line": k, "panel": line.panel, "unit": unit})
     page = environment.get_template("live.html").render(
         title=title, groups=groups, strips=[f"strip-{k}" for k in range(len(PANELS))]
     )
@@ -104,28 +93,6 @@ def _strip_plot(panel: Panel, number: int, first: int) -> figure:
     return plot
 
 
-def _make_gauge(number: int, line: Line) -> Gauge | None:
-    """Gauge of a curve; None for a curve without one."""
-    quantity, panel = line.quantity, PANELS[line.panel]
-    unit = panel.axis.rpartition(", ")[2]
-    if isinstance(quantity, Quantity):
-        side = quantity.true_column.partition("_")[0]
-        low, high = (quantity.scale * end for end in _SLIP_RANGE)
-        is_slip = quantity.true_column.endswith("_slip")
-        return Gauge("Slip", side, number, line.panel, unit, low, high) if is_slip else None
-    return _ground_gauge(quantity, line, number, unit)
-
-
-def _ground_gauge(curve: FieldCurve, line: Line, number: int, unit: str) -> Gauge | None:
-    side = curve.field.partition("_")[0]
-    if curve.field.endswith("_thrust_reserve"):
-        low, high = (line.scale * end for end in _RESERVE_RANGE)
-        return Gauge("Reserve", side, number, line.panel, unit, low, high)
-    if curve.field.endswith("_thrust"):
-        return Gauge("Thrust", side, number, line.panel, unit, None, None)
-    return Gauge("Soil", curve.label, number, line.panel, unit, None, None) if curve.interval else None
-
-
 def _template_text(package: str, name: str) -> str:
     folder = resources.files(f"trackslip_tools.{package}").joinpath("templates")
     return folder.joinpath(name).read_text(encoding="utf-8")
@@ -145,18 +112,14 @@ def path_figure() -> figure:
         min_border_left=60,
         min_border_right=12,
     )
-    fixes = {"marker": "cross", "size": 7, "color": PURPLE, "alpha": 0.8}
-    plot.scatter("x", "y", source=_source("fixes"), **fixes)
-    box = {"color": GREEN, "line_width": 2.5}
-    plot.line("x", "y", source=_source("box"), **box)
-    plot.line("x", "y", source=_source("trail"), color=BLUE, line_width=2.5)
-    ellipse = {"fill_color": BLUE, "fill_alpha": 0.3, "line_color": BLUE}
-    plot.patch("x", "y", source=_source("ellipse"), **ellipse)
-    machine = {"fill_color": BLUE, "fill_alpha": 0.15, "line_color": BLUE, "line_width": 2.5}
-    plot.patch("x", "y", source=_source("machine"), **machine)
-    plot.line("x", "y", source=_source("nose"), color=BLUE, line_width=3)
-    upper = {"color": ORANGE, "line_width": 3}
-    plot.line("x", "y", source=_source("upper"), **upper)
+    area, line = {"fill_color": BLUE, "line_color": BLUE}, {"line_width": 2.5}
+    plot.scatter("x", "y", source=_source("fixes"), marker="cross", size=7, color=PURPLE, alpha=0.8)
+    plot.line("x", "y", source=_source("box"), color=GREEN, **line)
+    plot.line("x", "y", source=_source("trail"), color=BLUE, **line)
+    plot.patch("x", "y", source=_source("ellipse"), fill_alpha=0.3, **area)
+    plot.patch("x", "y", source=_source("machine"), fill_alpha=0.15, **area, **line)
+    for name, colour in (("nose", BLUE), ("upper", ORANGE)):
+        plot.line("x", "y", source=_source(name), color=colour, line_width=3)
     style_plot(plot)
     return plot
 

@@ -20,10 +20,8 @@ from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_files import parse_vehicle
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import outline_coordinates, replace_nonfinite
-from trackslip_tools.live.facts import facts_of
 from trackslip_tools.live.fixes import Fixes, timeouts_of_text
-from trackslip_tools.live.outlines import outlines_of
-from trackslip_tools.live.snapshot import Snapshot
+from trackslip_tools.live.snapshot import Snapshot, facts_of, outlines_of
 from trackslip_tools.live.strips import Strips, row_of
 from trackslip_tools.report.events import Event, Events
 from trackslip_tools.report.lights import Level, Light, Lights, statuses_of

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compares the live estimates of a bag with the replayed ones, in pieces: every number of the same stamp.
 
-Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance,
-and z for the tilt. Rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed
-attitudes have to be converted by ``attitude_quaternions`` first.
+Rows of ``odometry`` have x, y, z, the quaternion (or roll, pitch, heading), v_x, v_y, yaw_rate, covariance,
+twist_covariance. Rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance.
 """
 
 import math
@@ -29,8 +28,7 @@ _ODOMETRY = ("x", "y", "heading", "v_x", "v_y", "yaw_rate", "covariance", "twist
 _TILT = ("roll", "pitch", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _SLIPS = ("left_slip", "right_slip", "slip_angle", "covariance")
-TILT = "tilt"  # roll, pitch and height of odometry
-_COLUMNS = {ODOMETRY: _ODOMETRY, LOCAL_ODOMETRY: _ODOMETRY, TRACK_SLIP: _SLIPS, TILT: _TILT}
+_COLUMNS = {ODOMETRY: (*_ODOMETRY, *_TILT), LOCAL_ODOMETRY: _ODOMETRY, TRACK_SLIP: _SLIPS}
 _SHAPES = {"covariance": (3, 3), "twist_covariance": (3, 3)}
 _MOST_NAMED = 3  # parts named in a line
 
@@ -147,29 +145,29 @@ class LiveComparer:
     """
 
     def __init__(self) -> None:
-        self._compared = {what: TopicComparison() for what in _COLUMNS}
+        self._compared = {topic: TopicComparison() for topic in _COLUMNS}
 
     def add(
         self,
-        what: str,
+        topic: str,
         live: Rows,
         replayed: Rows,
         numbers: IntArray | None = None,
         parts: Sequence[ComparablePart] = (),
     ) -> None:
-        """Add rows of a topic or of ``TILT``; either side may be empty.
+        """Add rows of a topic; either side may be empty.
 
         Args:
-            what: the topic, or ``TILT``.
+            topic: its name.
             live: rows of the topic.
             replayed: (n,) rows of the topic.
             numbers: (n,) parts of the replayed rows, 0 for none; None: all in the first part.
             parts: as ``TopicComparison.add``.
         """
-        columns = _COLUMNS[what]
+        columns = _COLUMNS[topic]
         numbers = np.ones(len(replayed), np.int64) if numbers is None else numbers
         replayed = _select_columns(replayed, columns, numbers)
-        self._compared[what].add(_select_columns(live, columns), replayed, parts)
+        self._compared[topic].add(_select_columns(live, columns), replayed, parts)
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """Result over all topics; ``counts`` are those of the whole journal."""
@@ -184,7 +182,7 @@ class LiveComparer:
             counts.lost_inputs,
             counts.comparable,
             counts.disordered_lines,
-            f"{largest.column} of {ODOMETRY if name == TILT else name}" if largest.size else "",
+            f"{largest.column} of {name}" if largest.size else "",
         )
 
 
@@ -196,38 +194,22 @@ def _count_in_parts(parts: Sequence[ComparablePart], stamps_ns: IntArray) -> int
 
 
 def odometry_rows(estimates: Rows, poses: Rows) -> Rows:
-    """(n,) rows of odometry that the live node publishes for (n,) of ``ESTIMATE``.
+    """(n,) rows of odometry that the live node publishes for (n,) of ``ESTIMATE``, equal to the last bit.
 
     ``poses`` (n,) has the fields pose and pose_covariance: the same estimates, or those in odom.
     """
-    rows = np.zeros(len(estimates), _dtype(_ODOMETRY))
+    x, y, headings = poses["pose"].T
+    roll, pitch, z = estimates["tilt"]["tilt"].T
+    halves = [(angles / 2.0).tolist() for angles in (roll, pitch, headings)]
+    columns = [(np.array(list(map(math.sin, h))), np.array(list(map(math.cos, h)))) for h in halves]
+    rows = np.zeros(len(estimates), _dtype(("x", "y", "z", *_QUATERNION, *_ODOMETRY[3:])))
     rows["stamp_ns"], rows["covariance"] = estimates["stamp_ns"], poses["pose_covariance"]
     rows["twist_covariance"] = estimates["twist_covariance"]
-    for k, (place, speed) in enumerate((("x", "v_x"), ("y", "v_y"), ("heading", "yaw_rate"))):
-        rows[place], rows[speed] = poses["pose"][:, k], estimates["twist"][:, k]
-    rows["heading"] = headings_of(attitude_quaternions(estimates, rows["heading"]))
+    names = ("x", "y", "z", *_QUATERNION, *_ODOMETRY[3:6])
+    values = (x, y, z, *quaternion_from_half_angles(columns), *estimates["twist"].T)
+    for name, column in zip(names, values, strict=True):
+        rows[name] = column
     return rows
-
-
-def tilt_rows(estimates: Rows) -> Rows:
-    """(n,) roll, pitch and height of odometry for (n,) of ``ESTIMATE``."""
-    quaternions = attitude_quaternions(estimates, estimates["pose"][:, 2])
-    rows = np.zeros(len(estimates), _dtype((*_TILT[2:], *_QUATERNION)))
-    rows["stamp_ns"], rows["z"] = estimates["stamp_ns"], estimates["tilt"]["tilt"][:, 2]
-    for name in _QUATERNION:
-        rows[name] = quaternions[name]
-    return rows
-
-
-def attitude_quaternions(estimates: Rows, headings: FloatArray) -> Rows:
-    """(n,) quaternions of the attitude as in messages: equal to live ones to the last bit."""
-    tilts = estimates["tilt"]["tilt"]
-    halves = [(angles / 2.0).tolist() for angles in (tilts[:, 0], tilts[:, 1], headings)]
-    columns = [(np.array(list(map(math.sin, h))), np.array(list(map(math.cos, h)))) for h in halves]
-    quaternions = np.zeros(len(estimates), [(name, np.float64) for name in _QUATERNION])
-    for name, values in zip(_QUATERNION, quaternion_from_half_angles(columns), strict=True):
-        quaternions[name] = values
-    return quaternions
 
 
 def slip_rows(estimates: Rows) -> Rows:

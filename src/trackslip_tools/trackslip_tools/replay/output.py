@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from trackslip_bags.messages import make, serialize
-from trackslip_bags.parameters import PARAMETERS_TOPIC
+from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
@@ -18,7 +18,6 @@ from trackslip_common.topics import (
     MACHINE_STATE,
     ODOMETRY,
     SWING_ESTIMATE,
-    TOPICS,
     TRACK_SLIP,
 )
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
@@ -45,8 +44,21 @@ _MOST_EVENTS = 12  # listed in the text
 _PATH_NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
 
-class EstimateWriter(BagWriter):
-    """Writes a bag of the estimates, measurement reports and parameters, each logged at its stamp.
+class StampedWriter(BagWriter):
+    """Writes messages and parameters of the slip estimator, each logged at its stamp."""
+
+    def write_message(self, topic: str, message: Any, stamp_ns: int) -> None:
+        """Write a message of any type."""
+        self.write(absolute_name(topic), message.__msgtype__, serialize(message), stamp_ns)
+
+    def write_parameters(self, p: SlipEstimatorParameters, stamp_ns: int, **sections: Any) -> None:
+        """Write the parameters, with further ``sections`` such as ``learned``."""
+        text = parameters_text(to_flat(p), SLIP_NODE, **sections)
+        self.write_message(PARAMETERS_TOPIC, make(PARAMETERS_TYPE, data=text), stamp_ns)
+
+
+class EstimateWriter(StampedWriter):
+    """Writes a bag of the estimates, measurement reports and parameters.
 
     ``learned``: learned quantities from which the estimator started, if there are any.
 
@@ -69,43 +81,38 @@ class EstimateWriter(BagWriter):
         log_times_ns = part.arrivals["log_time_ns"].tolist()
         for record, source, log_time_ns in zip(part.results, names, log_times_ns, strict=True):
             report, estimate = make_step(record.item(), source)
-            self._write_parameters(report.stamp_ns)
+            self._begin_run(report.stamp_ns)
             self._logged_ns = report.stamp_ns or self._logged_ns  # first inputs may have none
             message = conversions.measurement_report(make, report, self._sequence)
-            self._write(REPORTS, message, self._logged_ns or log_time_ns)
+            self.write_message(REPORTS, message, self._logged_ns or log_time_ns)
             self._sequence += 1
             if estimate is not None:
                 topics = [ODOMETRY, TRACK_SLIP, MACHINE_STATE]
                 topics += [ATTITUDE] if estimate.outputs.tilt is not None else []
                 topics += [SWING_ESTIMATE] if estimate.outputs.swing is not None else []
                 for topic in topics:
-                    self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
+                    self.write_message(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
                 message = message_of(LOCAL_ODOMETRY, self._local.estimate_in_odom(estimate), self._p)
-                self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
+                self.write_message(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
     def add_soil(self, soil: SoilReplay) -> None:
         """Write the outputs of the soil estimator; called after the last part."""
         for topic, message, stamp_ns in soil_messages(soil):
-            self._write(topic, message, stamp_ns)
+            self.write_message(topic, message, stamp_ns)
 
-    def _write_parameters(self, stamp_ns: int) -> None:
+    def _begin_run(self, stamp_ns: int) -> None:
         """Write the parameters at the first stamp of a run, and the vehicle at that of the first run."""
         if not self._begun and stamp_ns:
             self._begun = True
-            content = parameters_text(to_flat(self._p), SLIP_NODE, **self._start)
-            text = make("std_msgs/msg/String", data=content)
-            self._write(PARAMETERS_TOPIC, text, stamp_ns)
+            self.write_parameters(self._p, stamp_ns, **self._start)
             if self._logged_ns is None:
                 vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
-                self._write(VEHICLE, vehicle, stamp_ns)
+                self.write_message(VEHICLE, vehicle, stamp_ns)
 
     def _prepare_next_run(self, start: EstimatorStart) -> None:
         """Prepare for another run of the estimator."""
         self._p, self._start = start.parameters, _learned_section(start.parameters, start.learned)
         self._sequence, self._local, self._begun = 0, LocalOdometry(), False
-
-    def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        self.write(absolute_name(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
 
 
 def _learned_section(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:

@@ -28,12 +28,10 @@ from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Fault, Outcome
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.comparison import (
-    TILT,
     LiveComparer,
     LiveComparison,
     odometry_rows,
     slip_rows,
-    tilt_rows,
 )
 from trackslip_tools.replay.dead_reckoning import DeadReckoner
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
@@ -228,7 +226,6 @@ class Collector:
             self._local = LocalOdometry()
         if ODOMETRY in live:
             self._comparer.add(ODOMETRY, live[ODOMETRY], odometry_rows(estimates, estimates), numbers, parts)
-            self._comparer.add(TILT, live[ODOMETRY], tilt_rows(estimates), numbers, parts)
         if LOCAL_ODOMETRY in live:
             local = odometry_rows(estimates, self._local.advance(estimates))
             self._comparer.add(LOCAL_ODOMETRY, live[LOCAL_ODOMETRY], local, numbers, parts)

@@ -5,7 +5,6 @@
 from collections.abc import Iterator, Sequence
 
 from trackslip_common.topics import SOIL
-from trackslip_tools.report.numbers import Numbers
 from trackslip_tools.report.panel import (
     COLOURS,
     INK,
@@ -17,6 +16,7 @@ from trackslip_tools.report.panel import (
     plot_title,
 )
 from trackslip_tools.report.quantities import FIELD_PANELS, PERCENT, FieldCurve, FieldPanel
+from trackslip_tools.report.recording import Numbers
 from trackslip_tools.report.run import Run, first_runs_of_bags
 
 

@@ -24,6 +24,15 @@ DEGREES = 180.0 / np.pi
 PERCENT = 100.0
 
 
+class Gauge(NamedTuple):
+    """A bar of the live page that shows the newest value."""
+
+    group: str
+    label: str
+    low: float | None = None  # lower end of its range; None: that of the panel
+    high: float | None = None
+
+
 class Quantity(NamedTuple):
     """A panel of one column of the estimates, and of the matching column of the truth."""
 
@@ -35,6 +44,7 @@ class Quantity(NamedTuple):
     truth: str  # topic
     true_column: str
     scale: float = 1.0
+    gauge: Gauge | None = None
 
     def values_with_band(self, columns: Columns | Rows, scale: float) -> tuple[FloatArray, Band]:
         """Values (…) and ±2σ."""
@@ -44,9 +54,16 @@ class Quantity(NamedTuple):
 
 
 _SLIPS, _TWIST = ("slips", "slip_covariance"), ("twist", "twist_covariance")
+
+
+def _slip(side: str, column: int) -> Quantity:
+    gauge = Gauge("Slip", side, -0.2 * PERCENT, PERCENT)
+    title, true_column = f"Slip of the {side} track", f"{side}_slip"
+    return Quantity(title, "slip, %", *_SLIPS, column, TRUE_SLIP, true_column, PERCENT, gauge)
+
+
 QUANTITIES = (
-    Quantity("Slip of the left track", "slip, %", *_SLIPS, 0, TRUE_SLIP, "left_slip", PERCENT),
-    Quantity("Slip of the right track", "slip, %", *_SLIPS, 1, TRUE_SLIP, "right_slip", PERCENT),
+    *map(_slip, ("left", "right"), range(2)),
     Quantity("Slip angle", "angle, °", *_SLIPS, 2, TRUE_SLIP, "slip_angle", DEGREES),
     Quantity("Speed", "v_x, m/s", *_TWIST, 0, TRUE_ODOMETRY, "v_x"),
     Quantity("Yaw rate", "rate, °/s", *_TWIST, 2, TRUE_ODOMETRY, "yaw_rate", DEGREES),
@@ -73,6 +90,7 @@ class FieldCurve(NamedTuple):
     colour: str = BLUE  # in a report of one run
     form: Form = Form.LINE  # style where the colour identifies the run
     interval: bool = False  # bounds are the fields _lower, _upper; otherwise the variance field, if any
+    gauge: Gauge | None = None
 
     def values_with_band(self, columns: Columns, scale: float) -> tuple[FloatArray, Band | None]:
         """Values (…), and their interval if the message has one."""
@@ -97,19 +115,19 @@ class FieldPanel(NamedTuple):
 
 def _force_curves(side: str) -> tuple[FieldCurve, ...]:
     return (
-        FieldCurve(f"{side}_thrust", "thrust"),
+        FieldCurve(f"{side}_thrust", "thrust", gauge=Gauge("Thrust", side)),
         FieldCurve(f"{side}_resistance", "resistance", ORANGE, Form.DASHED),
     )
 
 
-_RESERVES = (
-    FieldCurve("left_thrust_reserve", "left"),
-    FieldCurve("right_thrust_reserve", "right", ORANGE, Form.DASHED),
+_RESERVES = tuple(
+    FieldCurve(f"{side}_thrust_reserve", side, colour, form, gauge=Gauge("Reserve", side, 0.0, PERCENT))
+    for side, colour, form in (("left", BLUE, Form.LINE), ("right", ORANGE, Form.DASHED))
 )
 _RESERVE_TITLE = "Thrust reserve: 100 % unloaded, 0 at the limit of the soil"
 _RESISTANCES = (FieldCurve("mu_r", "μ_r rolling"), FieldCurve("mu_l", "μ_l lateral", ORANGE, Form.DASHED))
-_SHEAR = (FieldCurve("shear_modulus", "K", interval=True),)
-_EFFORT = (FieldCurve("max_tractive_effort", "F_max", interval=True),)
+_SHEAR = (FieldCurve("shear_modulus", "K", interval=True, gauge=Gauge("Soil", "K")),)
+_EFFORT = (FieldCurve("max_tractive_effort", "F_max", interval=True, gauge=Gauge("Soil", "F_max")),)
 FIELD_PANELS = (
     FieldPanel("Forces on the left track", "force, kN", FORCES, _force_curves("left"), scale=1e-3),
     FieldPanel("Forces on the right track", "force, kN", FORCES, _force_curves("right"), scale=1e-3),

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contents of a bag for a report beside the replay: log times of all topics, soil, diagnostics, laser."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -12,13 +12,14 @@ from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.message_reading import RecordClass, dtype_of
 from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_tools.report.events import Event, LightLog
-from trackslip_tools.report.numbers import Numbers, NumbersCollector
+from trackslip_tools.report.quantities import classes_of
 from trackslip_tools.report.state_intervals import StateInterval
 
 SCAN = "scan"
@@ -85,6 +86,53 @@ class Timing:
 
 
 @dataclass(frozen=True, eq=False)
+class Numbers:
+    """Messages of one topic as columns."""
+
+    times: FloatArray  # (n,) s from the bag's first message, by stamp
+    rows: Rows  # (n,) records of the message's fields
+    classes: dict[str, FloatArray]  # soil → (n,) its probability, nan where not compared
+    reason: str  # final reason why the soil cannot be identified; empty if it can, and for forces
+
+    def classes_at(self, k: int) -> dict[str, float]:
+        """Soil → probability in message ``k``, of the soils that were compared."""
+        return {name: float(p[k]) for name, p in self.classes.items() if np.isfinite(p[k])}
+
+
+def make_numbers(
+    rows: Rows, start_ns: int, classes: Sequence[Mapping[str, float]] = (), reason: str = ""
+) -> Numbers:
+    """Columns of (n,) records; ``start_ns``: origin of times; ``classes``: soil → probability of each."""
+    names = sorted({name for of_record in classes for name in of_record})
+    columns = {name: np.array([of_record.get(name, np.nan) for of_record in classes]) for name in names}
+    return Numbers((rows["stamp_ns"] - start_ns) * 1e-9, rows, columns, reason)
+
+
+class _NumbersCollector:
+    """Collects ``Numbers`` from the tables of a bag; ``start_ns``: origin of times."""
+
+    def __init__(self, kind: RecordClass, start_ns: int) -> None:
+        self._kind, self._start_ns = kind, start_ns
+        self._parts = [np.empty(0, dtype_of(kind))]
+        self._classes: list[dict[str, float]] = []
+        self._reason = ""
+
+    def __len__(self) -> int:
+        return sum(map(len, self._parts))
+
+    def add(self, table: TopicTable) -> None:
+        """Add the messages of a table."""
+        self._parts.append(table.rows(self._kind))
+        for message in map(table.message, range(len(table)) if self._kind is SoilFields else ()):
+            self._classes.append(classes_of(message))
+            self._reason = message.reason
+
+    def numbers(self) -> Numbers:
+        """The columns of all added messages."""
+        return make_numbers(np.concatenate(self._parts), self._start_ns, self._classes, self._reason)
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One bag or a part of it; times are s from ``zero_ns``."""
 
@@ -130,7 +178,7 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
     names = {topic: filters.remap.get(relative_name(topic), relative_name(topic)) for topic in bag.topics}
     start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
     logged: dict[str, list[IntArray]] = {name: [] for name in names.values()}
-    numbers = {name: NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}
+    numbers = {name: _NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}
     scans = _Scans(sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN))
     lights = LightLog(namespace)
     window = (bag.start_ns + round(start_s * 1e9), bag.start_ns + round(stop_s * 1e9) + 1)

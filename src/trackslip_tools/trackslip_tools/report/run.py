@@ -19,8 +19,7 @@ from trackslip_tools.replay.scoring import path_of
 from trackslip_tools.replay.series import Path, sort_by_stamp
 from trackslip_tools.replay.soil import force_rows, soil_rows
 from trackslip_tools.report.details import Details
-from trackslip_tools.report.numbers import Numbers, make_numbers
-from trackslip_tools.report.recording import Recording
+from trackslip_tools.report.recording import Numbers, Recording, make_numbers
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,21 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.messages import make, serialize
-from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
-from trackslip_bags.reader import Bag, absolute_name
-from trackslip_bags.writer import BagWriter
+from trackslip_bags.reader import Bag
 from trackslip_common.arrays import Rows
 from trackslip_common.clock_monitor import NEVER_NS
-from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import to_flat
-from trackslip_common.topics import ODOMETRY, TOPICS, TRACK_SLIP, TRUE_ODOMETRY, TRUE_SLIP
+from trackslip_common.topics import ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_estimation.slip.estimator import make_estimate
 from trackslip_estimation.slip.log import make_log
-from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.output import message_of
+from trackslip_tools.replay.output import StampedWriter, message_of
 from trackslip_tools.replay.run import default_reference
 from trackslip_tools.replay.scoring import PathErrors, SlipErrors
 from trackslip_tools.replay.series import Series
@@ -151,8 +145,8 @@ class _EstimateErrors:
         return Errors(position, heading, self._slips.rmse, self._path.nees)
 
 
-class SmoothedWriter(BagWriter):
-    """Writes a bag of the smoothed estimates and the parameters, each logged at its stamp.
+class SmoothedWriter(StampedWriter):
+    """Writes a bag of the smoothed estimates and the parameters.
 
     Raises:
         InputError: the path exists already.
@@ -166,12 +160,8 @@ class SmoothedWriter(BagWriter):
         """Write a block of estimates."""
         for estimate in (make_estimate(record.item()) for record in block.smoothed):
             if not self._begun:
-                text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(self._p), SLIP_NODE))
-                self._write(PARAMETERS_TOPIC, PARAMETERS_TYPE, text, estimate.stamp_ns)
+                self.write_parameters(self._p, estimate.stamp_ns)
                 self._begun = True
             for topic in (ODOMETRY, TRACK_SLIP):
                 message = message_of(topic, estimate, self._p)
-                self._write(SMOOTHED + topic, TOPICS[topic].type_name, message, estimate.stamp_ns)
-
-    def _write(self, topic: str, type_name: str, message: Any, stamp_ns: int) -> None:
-        self.write(absolute_name(topic), type_name, serialize(message), stamp_ns)
+                self.write_message(SMOOTHED + topic, message, estimate.stamp_ns)
