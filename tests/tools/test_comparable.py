@@ -3,7 +3,7 @@
 """The part of a recording that is compared with live estimates if measurements or runs are missing."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -106,27 +106,18 @@ def compare(bag_of: Callable[[Iterable[Line]], Path], summary: Callable[..., dic
     return replayed
 
 
+@pytest.mark.parametrize("recorders", [1, 2])
 def test_a_whole_run_is_compared_whole(
-    one_run: list[Line], compare: Compare, printed: Callable[[], str]
+    one_run: list[Line], compare: Compare, printed: Callable[[], str], recorders: int
 ) -> None:
-    matches, compared = compare(one_run)
+    copies = [line._replace(log_ns=line.log_ns + 3 * MS * k) for k in range(recorders) for line in one_run]
+    matches, compared = compare(copies)
     assert matches is True
     assert compared["breaks"] == []
     (part,) = compared["parts"]
     assert part["start"] < 1.0
     assert part["stop"] > 10.0
-    assert "not from" not in printed()
-
-
-def test_run_recorded_by_two_recorders_is_compared_whole(
-    one_run: list[Line], compare: Compare, printed: Callable[[], str]
-) -> None:
-    again = [line._replace(log_ns=line.log_ns + 3 * MS) for line in one_run]
-    matches, compared = compare([*one_run, *again])
-    assert matches is True
-    assert compared["breaks"] == []
-    assert compared["parts"][0]["stop"] > 10.0
-    assert "lacks" not in printed()
+    assert not re.search("not from|lacks", printed())
 
 
 def test_lines_of_two_estimators_at_once_are_not_counted_as_missing(
@@ -199,13 +190,35 @@ def test_measurements_before_the_first_fix_may_be_missing(inputs: list[Line], co
     assert compared["estimates"] > 300
 
 
-def test_restart_of_the_estimator_is_replayed_as_a_restart(two_runs: list[Line], compare: Compare) -> None:
-    matches, compared = compare(two_runs)
+OTHER_VEHICLE = {"vehicle.kinematics.tread": 0.8}
+
+
+@pytest.mark.parametrize(
+    ("changes", "lost", "reason"),
+    [
+        ({}, (), ""),
+        ({"gate_probability": 0.9}, (), ""),
+        (OTHER_VEHICLE, (), "the estimator was started again with other vehicle.kinematics.tread"),
+        ({}, ((1.0, 9.0),), "the bag lacks the parameters of the estimator that was started again"),
+    ],
+    ids=["the same", "changed at run time", "another vehicle", "unknown parameters"],
+)
+def test_a_restart_is_compared_if_its_beginning_is_known(
+    inputs: list[Line],
+    compare: Compare,
+    changes: dict[str, float],
+    lost: Sequence[tuple[float, float]],
+    reason: str,
+) -> None:
+    run = restarted(inputs, **changes)
+    for span in lost:
+        run = without(run, PARAMETERS_TOPIC, *span)
+    matches, compared = compare(run)
     assert matches is True
-    first, second = compared["parts"]
-    assert first["stop"] < RESTART_S + 0.5 < second["start"]
-    assert compared["breaks"] == []
-    assert compared["estimates"] > 350
+    assert [one["reason"] for one in compared["breaks"]] == [reason] * bool(reason)
+    first, *later = compared["parts"]
+    assert first["stop"] < RESTART_S + 0.5
+    assert [part["start"] > RESTART_S + 0.5 for part in later] == [True] * (not reason)
 
 
 def test_after_a_restart_a_recording_with_gaps_is_compared_again(
@@ -217,30 +230,6 @@ def test_after_a_restart_a_recording_with_gaps_is_compared_again(
     assert first["stop"] < 3.1 + BEFORE_NS * 1e-9
     assert second["start"] > RESTART_S
     assert len(compared["breaks"]) == 1
-
-
-def test_restart_with_changed_parameters_is_compared(inputs: list[Line], compare: Compare) -> None:
-    matches, compared = compare(restarted(inputs, gate_probability=0.9))
-    assert matches is True
-    assert len(compared["parts"]) == 2
-
-
-def test_a_restart_with_another_vehicle_is_not_compared(inputs: list[Line], compare: Compare) -> None:
-    run = restarted(inputs, **{"vehicle.kinematics.tread": 0.8})
-    matches, compared = compare(run)
-    assert matches is True
-    assert len(compared["parts"]) == 1
-    (one,) = compared["breaks"]
-    assert one["reason"] == "the estimator was started again with other vehicle.kinematics.tread"
-
-
-def test_restart_without_its_parameters_is_not_compared(two_runs: list[Line], compare: Compare) -> None:
-    """The learned states at the restart are unknown."""
-    matches, compared = compare(without(two_runs, PARAMETERS_TOPIC, 1.0, 9.0))
-    assert matches is True
-    assert len(compared["parts"]) == 1
-    (one,) = compared["breaks"]
-    assert "lacks the parameters" in one["reason"]
 
 
 def test_replay_of_two_runs_writes_both(

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.arrival_rows import rows_of
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Kinematics
@@ -49,32 +51,25 @@ def reckoned(
     return path
 
 
-@pytest.mark.parametrize("positions", [True, False])
-@pytest.mark.parametrize("speed", [2.0, -2.0])
-def test_a_straight_line(positions: bool, speed: float) -> None:
-    start = np.array((1.0, 2.0, math.pi / 3))
-    path = reckoned(samples(speed, speed, 5.0, positions), EPOCH_NS, start)
-    expected = (1.0 + speed * math.cos(math.pi / 3), 2.0 + speed * math.sin(math.pi / 3), math.pi / 3)
-    np.testing.assert_allclose(path.poses[-1], expected, atol=1e-9)
-    np.testing.assert_array_equal(path.poses[0], start)
-    assert path.stamps_ns[-1] - path.stamps_ns[0] == 5000 * MS
-
-
-@pytest.mark.parametrize("positions", [True, False])
-@pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_full_circle_ends_at_its_start(positions: bool, turn: float) -> None:
-    """v = 0.3 m/s, φ̇ = ±0.25 rad/s: a circle of 1.2 m radius in 8π s, its far side 2.4 m to the side."""
-    left, right = (1.0, 2.0) if turn > 0.0 else (2.0, 1.0)
-    path = reckoned(samples(left, right, 8.0 * math.pi, positions, 5), EPOCH_NS, ORIGIN)
-    assert path.poses[-1, 2] == pytest.approx(turn * 2.0 * math.pi, abs=2e-3)  # continuous, not wrapped
-    np.testing.assert_allclose(path.poses[-1, :2], 0.0, atol=2e-3)
-    far = path.poses[np.argmax(np.abs(path.poses[:, 1]))]
-    np.testing.assert_allclose(far[:2], (0.0, turn * 2.4), atol=2e-3)
-
-
-def test_a_turn_on_the_spot() -> None:
-    path = reckoned(samples(-1.0, 1.0, 2.0), EPOCH_NS, ORIGIN)
-    np.testing.assert_allclose(path.poses[-1], (0.0, 0.0, 1.0), atol=1e-9)
+@given(
+    left=st.floats(-3.0, 3.0),
+    right=st.floats(-3.0, 3.0),
+    start=st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.floats(-3.0, 3.0)),
+    positions=st.booleans(),
+)
+def test_constant_speeds_give_a_straight_line_or_an_arc(
+    left: float, right: float, start: tuple[float, float, float], positions: bool
+) -> None:
+    """The heading is continuous; the chord of the arc has the mean of the headings at its ends."""
+    path = reckoned(samples(left, right, 5.0, positions), EPOCH_NS, np.array(start))
+    t = (path.stamps_ns - EPOCH_NS) * 1e-9
+    turned = 0.2 * (right - left) / 0.8 * t
+    chords = 0.1 * (left + right) * t * np.sinc(turned / (2.0 * np.pi))
+    x, y, heading = start
+    mean = heading + turned / 2.0
+    expected = np.column_stack((x + chords * np.cos(mean), y + chords * np.sin(mean), heading + turned))
+    np.testing.assert_allclose(path.poses, expected, atol=1e-3)
+    assert t[[0, -1]].tolist() == [0.0, 5.0]
 
 
 def test_gyro_replaces_the_yaw_rate_of_the_sprockets() -> None:

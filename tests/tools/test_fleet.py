@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ from fixtures.pieces import end, refused, square, wait
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_common.errors import ExitCode, InputError, collect_output, show
+from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
@@ -217,15 +216,6 @@ SUMMARY = {
     "rejected": {"box_pose": {"gated": 3}, "sprockets": {"waiting": 9}},
     "soil": {"classes": {"sand": 0.3, "sandy_loam": 0.7}, "identifiable": True},
 }
-
-
-def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    with collect_output() as lines:
-        show("a result")
-        show("a note", file=sys.stderr)
-    assert lines == ["a note"]
-    show("after it")
-    assert capsys.readouterr().out == "after it\n"
 
 
 # Workers

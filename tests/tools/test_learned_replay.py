@@ -20,8 +20,9 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import to_tree
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
 from trackslip_tools.replay.run import replay
-from trackslip_tools.report.learned_panels import learned_panels, learned_rows
+from trackslip_tools.report.panels import learned_panels
 from trackslip_tools.report.run import Run
+from trackslip_tools.report.tables import learned_rows
 
 Summary = Callable[..., dict[str, Any]]
 
@@ -65,10 +66,6 @@ def test_replay_reports_learned_states(
     assert "learned values" in shown
     assert "tracks err by " in shown
     assert "not observed yet: " in shown
-
-
-def test_replay_without_an_estimate_has_no_learned_states(bag: Path, summary: Summary) -> None:
-    assert summary(bag, "--start", "1000", code=1)["learned"] is None
 
 
 def test_replay_starts_from_the_learned_states_of_the_live_estimator(

@@ -53,9 +53,10 @@ class Machine:
         self._thread.start()
 
     def stop(self) -> None:
-        self._over.set()
-        self._thread.join()
-        self.server.stop()
+        if not self._over.is_set():
+            self._over.set()
+            self._thread.join()
+            self.server.stop()
 
     def _drive(self) -> None:
         began = time.monotonic()
@@ -78,24 +79,25 @@ def pages() -> dict[str, ServedFile]:
     return page_files(f"Trackslip: {EVIL}")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def machine(pages: dict[str, ServedFile]) -> Iterator[Machine]:
+    """A machine for all tests, which leave it as it was."""
     running = Machine(pages)
     yield running
     running.stop()
 
 
-@pytest.fixture
-def opened(open_page: OpenPage, machine: Machine) -> Callable[[int], Any]:
-    """A function that opens the page at a width."""
+@pytest.fixture(scope="module")
+def phone(open_shared: OpenPage, machine: Machine) -> Any:
+    return opened(open_shared, machine, WIDTHS[0])
 
-    def opens(width: int) -> Any:
-        page = open_page(width, machine.server.address)
-        page.goto(machine.server.address)
-        follows(page, 2)
-        return page
 
-    return opens
+def opened(opens: OpenPage, machine: Machine, width: int) -> Any:
+    """The page at a width, once it follows."""
+    page = opens(width, machine.server.address)
+    page.goto(machine.server.address)
+    follows(page, 2)
+    return page
 
 
 def follows(page: Any, frames: int) -> None:
@@ -111,8 +113,10 @@ def is_grey(page: Any) -> bool:
 
 
 @pytest.mark.slow
-def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints: list[str]) -> None:
-    shown = [opened(width) for width in WIDTHS]
+def test_three_pages_follow_the_machine_at_the_same_time(
+    open_page: OpenPage, machine: Machine, complaints: list[str]
+) -> None:
+    shown = [opened(open_page, machine, width) for width in WIDTHS]
     places = [page.locator('[data-fact="position"]').inner_text() for page in shown]
     for page, width in zip(shown, WIDTHS, strict=True):
         follows(page, 5)
@@ -128,8 +132,8 @@ def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints
     assert complaints == []
 
 
-def test_fingers_scroll_and_buttons_zoom_and_choose_the_time(opened: Any, complaints: list[str]) -> None:
-    page = opened(390)
+def test_fingers_scroll_and_buttons_zoom_and_choose_the_time(phone: Any, complaints: list[str]) -> None:
+    page = phone
     for plot in ("#path", "#strip-0"):
         scroll_with_a_finger(page, plot)
     path = "(({start, end}) => end - start)(Bokeh.documents[0].get_model_by_name('path').x_range)"
@@ -148,9 +152,9 @@ def test_fingers_scroll_and_buttons_zoom_and_choose_the_time(opened: Any, compla
 
 
 def test_a_silent_light_turns_and_names_that_look_like_html_are_text(
-    opened: Any, machine: Machine, complaints: list[str]
+    phone: Any, machine: Machine, complaints: list[str]
 ) -> None:
-    page = opened(1440)
+    page = phone
     page.wait_for_selector(".light.ok >> text=can_driver")
     machine.quiet.add("can_driver")
     page.wait_for_selector(".light.silent >> text=can_driver")
@@ -167,12 +171,12 @@ def test_a_silent_light_turns_and_names_that_look_like_html_are_text(
 
 
 def test_page_is_grey_without_its_server_and_reconnects(
-    opened: Any, machine: Machine, pages: dict[str, ServedFile]
+    open_page: OpenPage, pages: dict[str, ServedFile]
 ) -> None:
-    page = opened(390)
+    machine = Machine(pages)
+    page = opened(open_page, machine, WIDTHS[0])
     coloured = set(page.evaluate(COLOURS))
     assert not is_grey(page)
-    port = machine.server.port
     machine.stop()
     page.wait_for_selector("#link.silent >> text=no data")
     assert is_grey(page)
@@ -181,34 +185,34 @@ def test_page_is_grey_without_its_server_and_reconnects(
     assert "s ago" in frozen[0]
     page.wait_for_timeout(1500)
     assert (page.locator("#lights").inner_text(), page.locator("#link").inner_text()[:22]) == frozen
-    again = Machine(pages, port, name="another_driver")
-    try:
-        page.wait_for_selector(".light.ok >> text=another_driver")
-        page.wait_for_selector("#link.ok")
-        follows(page, 3)
-        assert set(page.evaluate(COLOURS)) == coloured
-    finally:
-        again.stop()
-        machine.stop = lambda: None  # type: ignore[method-assign]  # it has ended already
+    again = Machine(pages, machine.server.port, name="another_driver")
+    page.wait_for_selector(".light.ok >> text=another_driver")
+    page.wait_for_selector("#link.ok")
+    follows(page, 3)
+    assert set(page.evaluate(COLOURS)) == coloured
+    again.stop()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [{}, {"number": 1e9}], ids=["nothing", "frames that cannot be shown"])
 def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
-    sent: dict[str, Any], opened: Any, machine: Machine
+    sent: dict[str, Any], phone: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = opened(390)
-    machine.sent = lambda _: sent
+    page = phone
+    monkeypatch.setattr(machine, "sent", lambda _: sent)
     page.wait_for_selector("#link.silent >> text=no data")
     assert is_grey(page)
-    machine.sent = lambda frame: frame
+    monkeypatch.undo()
     page.wait_for_selector("#link.ok")
     assert not is_grey(page)
 
 
 @pytest.mark.slow
-def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, complaints: list[str]) -> None:
-    page = opened(390)
+def test_last_values_stay_at_the_end_of_a_bag(
+    open_page: OpenPage, pages: dict[str, ServedFile], complaints: list[str]
+) -> None:
+    machine = Machine(pages)
+    page = opened(open_page, machine, WIDTHS[0])
     follows(page, 20)
     ended = machine.state.final_frame("end of the bag")
     numbers = itertools.count(ended["number"] + 1000)
@@ -227,6 +231,7 @@ def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, com
     assert page.locator("#link.ended").inner_text() == "end of the bag"
     assert not is_grey(page)
     assert complaints == []
+    machine.stop()
 
 
 @pytest.mark.slow

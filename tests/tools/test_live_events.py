@@ -3,6 +3,7 @@
 """Events of the live page: each change is reported once."""
 
 import math
+from collections.abc import Sequence
 
 import pytest
 
@@ -11,7 +12,7 @@ from trackslip_tools.report.events import MAX_EVENTS, Events
 from trackslip_tools.report.lights import Level, Light
 
 
-def light(level: Level, message: str, name: str = "slip_estimator") -> Light:
+def light(level: Level, message: str, name: str) -> Light:
     return Light(name, level, message, math.nan, 0.0)
 
 
@@ -19,65 +20,48 @@ def reported(events: Events) -> list[str]:
     return [event.text for event in events.recent]
 
 
-def test_a_lost_fix_is_reported_once_and_so_is_its_return() -> None:
+OK, WARN, ERROR, SILENT = Level.OK, Level.WARN, Level.ERROR, Level.SILENT
+Status = tuple[Level, str, str]  # level, message, name
+LOST = [f"nothing accepted of box_pose for {1.2 + k:.1f} s" for k in range(30)]
+COMPETING = (
+    "three explanations for 0.5 s: gnss_pose is 1.1 m off (60 %), nothing happened (30 %)",
+    "two explanations for 1.5 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)",
+    "two explanations for 18.3 s: the machine was moved (55 %), gnss_pose is 1.0 m off (45 %)",
+)
+STUCK = ("getting stuck: left at the limit of the soil", "stalled: both tracks")
+SEVERAL = "several publishers of scan"
+CHANGES: dict[str, tuple[Sequence[Status | None], list[str]]] = {
+    "a lost fix and its return": (
+        [(OK, "running", "slip"), *((WARN, text, "slip") for text in LOST), (OK, "running", "slip")],
+        ["fix lost: box_pose", "fix back: box_pose"],
+    ),
+    "another explanation that is the most probable one": (
+        [(WARN, text, "slip") for text in COMPETING],
+        [f"slip: {COMPETING[0]}", f"slip: {COMPETING[2]}"],
+    ),
+    "the text of the estimator": ([(WARN, text, "soil") for text in STUCK], [f"soil: {t}" for t in STUCK]),
+    "a silent node and its return": (
+        [(OK, "running", "pls"), (SILENT, "silent", "pls"), (OK, "running", "pls")],
+        ["pls: silent", "pls: running"],
+    ),
+    "a part that is no longer reported": (
+        [(ERROR, SEVERAL, "record: inputs"), None],
+        [f"record: inputs: {SEVERAL}", "record: inputs: recovered"],
+    ),
+    "a state that alternates": (
+        [(OK, "running", "slip") if k % 2 else (WARN, f"{k} rejected", "slip") for k in range(9)],
+        ["slip: 0 rejected", "slip: running"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_of_a_light_is_reported_once(name: str) -> None:
+    statuses, expected = CHANGES[name]
     events = Events()
-    events.add_light_changes([light(Level.OK, "running")], 0.0, 0.0)
-    for k in range(30):
-        text = f"nothing accepted of box_pose for {1.2 + k:.1f} s"
-        events.add_light_changes([light(Level.WARN, text)], 1.0 + k, 0.0)
-    events.add_light_changes([light(Level.OK, "running")], 40.0, 0.0)
-    assert reported(events) == ["fix lost: box_pose", "fix back: box_pose"]
-    assert [event.level for event in events.recent] == [Level.WARN, Level.OK]
-
-
-def test_explanations_are_an_event_again_where_another_one_is_the_most_probable() -> None:
-    events = Events()
-    for k, text in enumerate(
-        (
-            "three explanations for 0.5 s: gnss_pose is 1.1 m off (60 %), nothing happened (30 %)",
-            "two explanations for 1.5 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)",
-            "two explanations for 18.3 s: the machine was moved (55 %), gnss_pose is 1.0 m off (45 %)",
-        )
-    ):
-        events.add_light_changes([light(Level.WARN, text)], float(k), 0.0)
-    assert [text[: text.index(" for")] for text in reported(events)] == [
-        "slip_estimator: three explanations",
-        "slip_estimator: two explanations",
-    ]
-
-
-def test_stuck_and_stalled_machine_are_reported_with_the_text_of_the_estimator() -> None:
-    events = Events()
-    texts = ("getting stuck: left at the limit of the soil", "stalled: both tracks")
-    for k, text in enumerate(texts):
-        events.add_light_changes([light(Level.WARN, text, "soil_estimator")], float(k), 0.0)
-    assert reported(events) == [f"soil_estimator: {text}" for text in texts]
-
-
-def test_a_node_that_falls_silent_and_comes_back() -> None:
-    events = Events()
-    for at_s, level, text in (
-        (0.0, Level.OK, "running"),
-        (2.0, Level.SILENT, "silent"),
-        (9.0, Level.OK, "running"),
-    ):
-        events.add_light_changes([light(level, text, "sick_pls")], at_s, 0.0)
-    assert reported(events) == ["sick_pls: silent", "sick_pls: running"]
-
-
-def test_part_no_longer_reported_has_recovered() -> None:
-    events = Events()
-    events.add_light_changes([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
-    events.add_light_changes([], 1.0, 0.0)
-    assert reported(events)[-1] == "record: inputs: recovered"
-
-
-def test_alternating_state_does_not_fill_the_event_list() -> None:
-    events = Events()
-    for k in range(60):
-        level, text = (Level.OK, "running") if k % 2 else (Level.WARN, f"{k} rejected in the last second")
-        events.add_light_changes([light(level, text)], float(k), 0.0)
-    assert len(events.recent) == 2
+    for k, status in enumerate(statuses):
+        events.add_light_changes([light(*status)] if status else [], float(k), 0.0)
+    assert reported(events) == expected
 
 
 @pytest.mark.parametrize("key", ["box_pose: gated", "box_pose gated"])

@@ -18,11 +18,10 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_common.topics import FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_tools.cli.main import main
-from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.headline import facts_of
-from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
+from trackslip_tools.report.panels import error_panels, errors_of, ground_panels, motion_panels
 from trackslip_tools.report.path_plot import boxes, ellipses, path_plot
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run

@@ -4,12 +4,11 @@
 
 import dataclasses
 import io
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from fixtures.browser import EVIL, OpenPage, pages_of, scroll_with_a_finger
+from fixtures.browser import EVIL, OpenPage, scroll_with_a_finger
 from PIL import Image
 
 from trackslip_tools.report.events import Event
@@ -63,25 +62,6 @@ def hostile(recording: Recording) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def complaints_of_browser() -> list[str]:
-    """Complaints of the pages that several tests share."""
-    return []
-
-
-@pytest.fixture
-def complaints(complaints_of_browser: list[str]) -> Iterator[list[str]]:
-    """Complaints of shared pages and of the test's own page; each is reported to one test only."""
-    yield complaints_of_browser
-    complaints_of_browser.clear()
-
-
-@pytest.fixture(scope="module")
-def open_shared(browser: Any, complaints_of_browser: list[str]) -> Iterator[OpenPage]:
-    with pages_of(browser, complaints_of_browser) as opens:
-        yield opens
-
-
-@pytest.fixture(scope="module")
 def opened_on_desk(open_shared: OpenPage, one_run: Path) -> Any:
     return show(open_shared(DESK, "file:"), one_run)
 
@@ -121,7 +101,8 @@ def middle(page: Any, index: int) -> tuple[float, float, float]:
     return box["x"] + box["width"] / 2.0, box["y"] + 0.6 * box["height"], box["width"]
 
 
-def test_every_plot_is_drawn_without_a_complaint(page: Any, complaints: list[str]) -> None:
+def test_every_plot_is_drawn_without_a_complaint(opened_on_tablet: Any, complaints: list[str]) -> None:
+    page = opened_on_tablet
     plots = page.locator(".plot")
     roots = page.evaluate("Bokeh.documents[0].roots().length")
     assert plots.count() == roots > 10

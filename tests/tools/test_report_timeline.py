@@ -23,7 +23,7 @@ from trackslip_tools.report.details import Details
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.headline import Fact, facts_of
 from trackslip_tools.report.lights import SILENT_S, Level
-from trackslip_tools.report.motion_panels import motion_panels
+from trackslip_tools.report.panels import motion_panels
 from trackslip_tools.report.plots import plot_text
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run, align_runs

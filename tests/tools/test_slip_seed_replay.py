@@ -11,7 +11,6 @@ from fixtures.arrival_rows import measurements_of
 from fixtures.recorded import merged_messages, write_lines
 from fixtures.whole_inputs import read_inputs
 
-from trackslip_bags import tables
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
@@ -33,7 +32,6 @@ from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.tuning.task import read_task
 
 SOURCE = {"slip_sources": ["slip_seed"]}
-MODELS = ("free_slips", "turning")
 _LATE_NS = 500_000_000
 REPORTS = TOPICS["measurement_reports"].type_name
 LAST_NS = 1_700_000_100_000_000_000  # later than all messages
@@ -72,16 +70,15 @@ def numbers(result: Replay) -> list[bytes]:
     return [estimate.tobytes() for estimate in result.estimates]
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_replay_processes_seeds_as_the_estimator_does(seeded: Path, model: str) -> None:
+def test_replay_processes_seeds_as_the_estimator_does(seeded: Path) -> None:
     parts: list[Part] = []
-    result = replayed(seeded, parts, **SOURCE, model=model)
+    result = replayed(seeded, parts, **SOURCE)
     reports = [report for report in reports_of(parts) if report.source == "slip_seed"]
     assert [report.outcome for report in reports] == [Outcome.ACCEPTED, Outcome.INVALID]
     assert result.messages["slip_seed"] == 2
     assert "invalid" not in result.rejected.by_source()["slip_seed"]
     assert sum(result.rejected.by_source()["slip_seed"].values()) == 1
-    p = load_slip_parameters(SOURCE | {"model": model})
+    p = load_slip_parameters(SOURCE)
     with open_bag(seeded) as bag:
         inputs = measurements_of(read_inputs(bag, p, InputFilters(), ()))
     assert sum(isinstance(m, SlipFix) for m in inputs) == 2
@@ -92,25 +89,24 @@ def test_replay_processes_seeds_as_the_estimator_does(seeded: Path, model: str) 
     ]
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_live_run_with_seeds_is_replayed_exactly(seeded: Path, model: str, tmp_path: Path) -> None:
-    p = load_slip_parameters(SOURCE | {"model": model})
+def test_live_run_with_seeds_is_replayed_exactly(seeded: Path, tmp_path: Path) -> None:
+    p = load_slip_parameters(SOURCE)
     parts: list[Part] = []
     with open_bag(seeded) as bag, EstimateWriter(tmp_path / "own", p) as writer:
         replay(bag, p, InputFilters(), None, watch=writer.add)
-    replayed(seeded, parts, **SOURCE, model=model)
+    replayed(seeded, parts, **SOURCE)
     with BagWriter(tmp_path / "live") as live:
         for message in merged_messages(seeded, tmp_path / "own"):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
         for sequence, report in enumerate(reports_of(parts)):  # a journal in the order of arrival
             raw = serialize(conversions.measurement_report(make, report, sequence))
             live.write("/measurement_reports", REPORTS, raw, LAST_NS + sequence)
-    again = replayed(tmp_path / "live", **SOURCE, model=model)
+    again = replayed(tmp_path / "live", **SOURCE)
     assert again.live is not None
     assert again.live.matches
     assert again.live.largest_difference == 0.0
     assert again.live.lost_inputs == 0
-    ignoring = replayed(tmp_path / "live", model=model)
+    ignoring = replayed(tmp_path / "live")
     assert ignoring.live is not None
     assert not ignoring.live.matches
 
@@ -119,19 +115,6 @@ def test_unrequested_seeds_change_nothing(seeded: Path, bag: Path) -> None:
     ignoring, without_seeds = replayed(seeded), replayed(bag)
     assert numbers(ignoring) == numbers(without_seeds)
     assert numbers(replayed(seeded, **SOURCE)) != numbers(without_seeds)
-
-
-def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def seeds() -> list[bytes]:
-        with open_bag(seeded) as bag:
-            inputs = read_inputs(bag, load_slip_parameters(SOURCE), InputFilters(), ())
-        fixes = [m for m in measurements_of(inputs) if isinstance(m, SlipFix)]
-        return [np.array((m.stamp_ns, *m.slips, *m.covariance.ravel())).tobytes() for m in fixes]
-
-    by_column = seeds()
-    monkeypatch.setattr(tables, "_LAYOUTS", 0)
-    assert seeds() == by_column
-    assert len(by_column) == 2
 
 
 def test_tuning_with_seeds_has_finite_scores(seeded: Path) -> None:

@@ -56,10 +56,8 @@ def test_wide_table_is_folded_with_its_keys_and_constant_columns_above() -> None
     "words",
     [
         "--help",
-        "replay --help",
         "info {bags}/slalom_sand",
         "replay {bags}/slalom_sand --stop 12 --withhold box_pose:6:9 --json {out}.json",
-        "replay {bags} --stop 5 --workers 1",
         pytest.param("smooth {bags}/slalom_sand --output {out}", marks=pytest.mark.slow),
         pytest.param(
             "calibrate {bags}/slalom_sand {bags}/outage_sandy_loam --output {out}", marks=pytest.mark.slow

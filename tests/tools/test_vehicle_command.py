@@ -83,12 +83,6 @@ def test_kinematics_alone_are_enough(tmp_path: Path) -> None:
     assert vehicle.sensors.antenna.y == 0.6
 
 
-def test_too_little_lists_what_would_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert new(tmp_path, "--tread", "2.4") == ExitCode.BAD_INPUT
-    assert "--mass, or all of --rolling-radius, --contact-length" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_existing_file_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "digger.yaml").write_text("mine", encoding="utf-8")
     assert new(tmp_path, "--mass", "20000") == ExitCode.BAD_INPUT
@@ -97,40 +91,38 @@ def test_existing_file_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"), [(("--mass", "2e9"), "mass"), (("--mass", "20000", "--tread", "-1"), "tread")]
+    ("arguments", "words"),
+    [
+        (("--tread", "2.4"), "--mass, or all of --rolling-radius, --contact-length"),
+        (("--mass", "2e9"), "mass"),
+        (("--mass", "20000", "--tread", "-1"), "tread"),
+    ],
 )
-def test_numbers_impossible_for_a_machine_are_refused(
-    arguments: tuple[str, ...], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_too_few_or_impossible_numbers_are_refused(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert new(tmp_path, *arguments) == ExitCode.BAD_INPUT
-    assert named in capsys.readouterr().err
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_requested_values_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
-    answers = iter(["18000", "much", "0.4", "", ""])
-    monkeypatch.setattr("builtins.input", lambda _: next(answers))
-    assert main(["vehicle", "new", "--name", "digger", "--output", str(tmp_path)]) == ExitCode.DONE
-    vehicle = load_vehicle(str(tmp_path / "digger.yaml"))
-    assert vehicle.mass is not None
-    assert (vehicle.mass.mass, vehicle.kinematics.rolling_radius) == (18000.0, 0.4)
-
-
-def test_ctrl_d_ends_the_questions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = iter(["18000"])
+@pytest.mark.parametrize("answered", [("18000", "much", "0.4", "", ""), ("18000", "0.4")])
+def test_requested_values_are_used_until_ctrl_d(
+    answered: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = list(answered)
 
     def ask(_: str) -> str:
-        try:
-            return next(answers)
-        except StopIteration:
-            raise EOFError from None
+        if not answers:
+            raise EOFError
+        return answers.pop(0)
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", ask)
     assert main(["vehicle", "new", "--name", "digger", "--output", str(tmp_path)]) == ExitCode.DONE
     vehicle = load_vehicle(str(tmp_path / "digger.yaml"))
     assert vehicle.mass is not None
-    assert vehicle.mass.mass == 18000.0
+    assert (vehicle.mass.mass, vehicle.kinematics.rolling_radius) == (18000.0, 0.4)
 
 
 def test_list_names_the_vehicles_of_config(capsys: pytest.CaptureFixture[str]) -> None:

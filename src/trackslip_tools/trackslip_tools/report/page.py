@@ -15,18 +15,17 @@ from bokeh.plotting import figure
 from bokeh.resources import INLINE
 from jinja2 import Environment, PackageLoader
 
-from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.headline import facts_of
 from trackslip_tools.report.innovations import innovation_panels
-from trackslip_tools.report.learned_panels import learned_panels, learned_rows
-from trackslip_tools.report.motion_panels import error_panels, motion_panels
 from trackslip_tools.report.panel import COLOURS, DARK, GREY
+from trackslip_tools.report.panels import error_panels, ground_panels, learned_panels, motion_panels
 from trackslip_tools.report.path_plot import PathPlot, path_plot
 from trackslip_tools.report.plots import strip_plot, time_plot, time_range
 from trackslip_tools.report.run import Run, align_runs, first_runs_of_bags
 from trackslip_tools.report.tables import (
     differing_rows,
     event_rows,
+    learned_rows,
     parameter_rows,
     rejection_rows,
     run_facts,

@@ -97,6 +97,11 @@ def curve_label(runs: Sequence["Run"], run: "Run", what: str) -> str:
     return run.label if what == "estimate" else f"{run.label}, {what}"
 
 
+def curve_style(runs: Sequence["Run"], run: "Run", what: str, own: str) -> tuple[str, str]:
+    """Label and colour of a curve; ``own``: its colour in a report of one run."""
+    return curve_label(runs, run, what), curve_colour(runs, run, own)
+
+
 def plot_title(runs: Sequence["Run"], run: "Run", what: str) -> str:
     """Title of a plot: its quantity, and its run if there are several."""
     return what if len(runs) == 1 else f"{what}, {run.label}"

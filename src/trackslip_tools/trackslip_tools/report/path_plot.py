@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_tools.replay.series import Path
 from trackslip_tools.report import plan_shapes
-from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, curve_colour, curve_label
+from trackslip_tools.report.panel import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    curve_colour,
+    curve_label,
+    curve_style,
+)
 from trackslip_tools.report.plan_shapes import machine_size
 from trackslip_tools.report.plots import extreme_indices, plot_tools, style_plot
 from trackslip_tools.report.run import Run, States, first_runs_of_bags
@@ -109,7 +119,7 @@ def _draw_references(plot: figure, runs: Sequence[Run], run: Run, samples: int) 
 
 def _draw_estimate(plot: figure, runs: Sequence[Run], run: Run, samples: int) -> tuple[GlyphRenderer, Track]:
     assert run.states is not None
-    colour, label = curve_colour(runs, run, BLUE), curve_label(runs, run, "estimate")
+    label, colour = curve_style(runs, run, "estimate", BLUE)
     outlines = ellipses(run.states)
     x, y = (list(outlines[:, :, axis]) for axis in (0, 1))
     plot.patches(x, y, color=colour, fill_alpha=0.2, line_alpha=0.6, legend_label=label)

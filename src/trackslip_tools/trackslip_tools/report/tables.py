@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 
 from trackslip_common.parameters import Parameters, flat_fields, to_flat
+from trackslip_estimation.slip.learned_text import NOT_OBSERVED, LearnedQuantity, decimals
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.report.events import MAX_EVENTS, Event
+from trackslip_tools.report.panel import SIGMAS
 from trackslip_tools.report.run import Run
 from trackslip_tools.terminal_text import NO_VALUE, number_text
 
@@ -43,6 +45,22 @@ def rejection_rows(run: Run) -> list[Row]:
         for source, reasons in run.replay.rejected_by_source.items()
         for reason, count in reasons.items()
     ]
+
+
+def learned_rows(run: Run) -> list[Row]:
+    """Quantity, value, interval of ±2σ, unit, description; only the description of unobserved quantities."""
+    return [_learned_row(finding) for finding in run.replay.findings]
+
+
+def _learned_row(finding: LearnedQuantity) -> Row:
+    form = finding.form
+    if not finding.observed:
+        return (form.label, NO_VALUE, NO_VALUE, form.unit, NOT_OBSERVED)
+    value, stddev = form.displayed_value(finding.value), form.scale * finding.stddev
+    digits = decimals(stddev)
+    low, high = max(value - SIGMAS * stddev, form.least), value + SIGMAS * stddev
+    interval = f"{low:.{digits}f} … {high:.{digits}f}"
+    return (form.label, f"{value:.{digits}f}", interval, form.unit, finding.sentence)
 
 
 def parameter_rows(runs: Sequence[Run]) -> list[Row]:
