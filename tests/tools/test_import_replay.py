@@ -71,15 +71,12 @@ def summary(bag: Path) -> dict[str, Any]:
     return replayed(bag)
 
 
-def test_four_wheel_robot_is_imported_and_replayed(bag: Path, summary: dict[str, Any]) -> None:
+def test_four_wheel_robot_is_imported_and_replayed(summary: dict[str, Any]) -> None:
     """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are metres off, as it turns at 0.8 of their rate."""
     assert summary["rmse"]["dead_reckoning"] > 1.0
     assert summary["rmse"]["filter"] < 0.03
     assert summary["rmse"]["heading"] < 0.01
     assert summary["nees_position"] < 8.0
-    page = bag.parent / "report.html"
-    assert main(["report", str(bag), "--output", str(page)]) == ExitCode.DONE
-    assert "NEES of the position" not in page.read_text(encoding="utf-8")
 
 
 def test_figures_on_the_page_on_imports_are_those_of_a_replay(summary: dict[str, Any]) -> None:

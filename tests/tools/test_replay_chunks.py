@@ -1,36 +1,96 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Replays in batches of any length, and topics read as columns, equal message-wise ones bit for bit."""
+"""Inputs of a bag in batches: bounded, complete, in live order, and as live conversion makes them."""
 
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from fixtures.arrival_rows import measurements_of
+from fixtures.commands import json_of
+from fixtures.recorded import EVERYTHING
+from fixtures.records import assert_same_bits
 from fixtures.whole_inputs import Inputs, read_inputs
 
 from trackslip_bags import chunks, tables
-from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.input_filters import InputFilters, Thin, Withhold
+from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.message_fields import OdometryFields
+from trackslip_common.message_reading import dtype_of
 from trackslip_common.vehicle_files import vehicle_layer
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.measurements import (
+    RESET,
+    Measurement,
+    Outcome,
+    PoseFix,
+    Report,
+    Sprockets,
+    YawRate,
+)
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND
+from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.run import replay
 from trackslip_tools.report.details import Details
 
+P = load_slip_parameters()
+ANGLES = {"mounting_roll": math.pi, "mounting_pitch": 0.2, "mounting_yaw": -0.7}
 SERIES = ("truth/odometry", "truth/track_slip")
+REPORT = "trackslip_msgs/msg/MeasurementReport"
+FILTERS = InputFilters(
+    start_s=3.0,
+    stop_s=31.0,
+    withhold=(Withhold("imu/data_raw", 10.0, 12.0),),
+    thin=(Thin("box_pose", 1.0, 0.05),),
+)
+
+
+def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
+    with open_bag(emulated_bag) as bag:
+        batches = list(InputStream(bag, P, InputFilters(), ("truth/odometry",)))
+        duration_s = bag.duration_s
+    spans = [np.ptp(batch.rows["log_time_ns"]) * 1e-9 for batch in batches if len(batch.rows)]
+    assert len(spans) >= duration_s / 11.0
+    assert max(spans) <= 11.0
+    for batch in batches:
+        assert batch.rows.dtype == ARRIVAL
+        if "truth/odometry" in batch.tables:
+            assert batch.tables["truth/odometry"].rows.dtype == dtype_of(OdometryFields)
+
+
+def test_the_length_of_the_batches_changes_nothing_with_filters(
+    emulated_bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_bag(emulated_bag) as bag:
+        expected = read_inputs(bag, P, FILTERS, SERIES)
+        monkeypatch.setattr(chunks, "STRETCH_NS", 700_000_000)
+        assert_same_inputs(read_inputs(bag, P, FILTERS, SERIES), expected)
+
+
+def assert_same_inputs(inputs: Inputs, expected: Inputs) -> None:
+    assert len(inputs.rows) > 1000
+    assert_same_bits(inputs.rows, expected.rows)
+    for name in SERIES:
+        np.testing.assert_array_equal(inputs.series[name].rows, expected.series[name].rows)
+    assert (inputs.messages, inputs.duration_s) == (expected.messages, expected.duration_s)
 
 
 def test_the_length_of_the_batches_changes_nothing(
     emulated_bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Holds for both estimators."""
-    p = load_slip_parameters()
-    of_soil = load_soil_parameters(vehicle_layer(p.vehicle))
+    of_soil = load_soil_parameters(vehicle_layer(P.vehicle))
 
     def found() -> list[Any]:
         details = Details()
         with open_bag(emulated_bag) as bag:
-            result = replay(bag, p, InputFilters(), None, of_soil, details.add)
+            result = replay(bag, P, EVERYTHING, None, of_soil, details.add)
         assert result.soil is not None
         states = [repr(vars(state)) for state in result.soil.states]
         forces = result.soil.forces.tobytes()
@@ -53,22 +113,130 @@ def test_the_length_of_the_batches_changes_nothing(
     assert len(expected[5]) == 11
 
 
+@pytest.mark.parametrize("filters", [EVERYTHING, InputFilters(start_s=10.0, stop_s=20.0)])
 def test_reading_by_column_equals_reading_by_message(
-    emulated_bag: Path, monkeypatch: pytest.MonkeyPatch
+    emulated_bag: Path, monkeypatch: pytest.MonkeyPatch, filters: InputFilters
 ) -> None:
-    """Holds also for a part of the bag."""
+    with open_bag(emulated_bag) as bag:
+        by_column = read_inputs(bag, P, filters, SERIES)
+        monkeypatch.setattr(tables, "_LAYOUTS", 0)
+        assert_same_inputs(read_inputs(bag, P, filters, SERIES), by_column)
 
-    def read(filters: InputFilters) -> Inputs:
-        with open_bag(emulated_bag) as bag:
-            return read_inputs(bag, load_slip_parameters(), filters, SERIES)
 
-    for filters in (InputFilters(), InputFilters(start_s=10.0, stop_s=20.0)):
-        by_column = read(filters)
-        with monkeypatch.context() as patch:
-            patch.setattr(tables, "_LAYOUTS", 0)
-            by_message = read(filters)
-        assert by_column.rows.tobytes() == by_message.rows.tobytes()
-        assert by_column.messages == by_message.messages
-        for name in SERIES:
-            assert by_column.series[name].rows.tobytes() == by_message.series[name].rows.tobytes()
-        assert len(by_column.rows) > 1000
+def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path) -> None:
+    """In log order, because the bag has no journal."""
+    expected: list[Measurement] = []
+    with open_bag(emulated_bag) as bag:
+        for message in bag.messages(["sprockets", "imu/data_raw", "box_pose"]):
+            content, source = bag.deserialize(message.raw, message.type_name), message.topic[1:]
+            if source == "sprockets":
+                expected.append(conversions.sprockets(content, source))
+            elif source == "box_pose":
+                expected.append(conversions.pose_fix(content, source))
+            else:
+                expected.append(conversions.yaw_rate(content, source, P.gyros()[source]))
+        measurements = measurements_of(read_inputs(bag, P, InputFilters(), ()))
+    assert list(map(repr, measurements)) == list(map(repr, expected))
+    assert {type(m) for m in measurements} == {Sprockets, YawRate, PoseFix}
+
+
+def without_readings(bag_path: Path, path: Path, every: int) -> Path:
+    """The bag with an IMU that lacks the gyro in each ``every``-th message, and accelerations in the next."""
+    with open_bag(bag_path) as bag, BagWriter(path) as writer:
+        count = 0
+        for m in bag.messages():
+            raw = bytes(m.raw)
+            if m.topic == "/imu/data_raw":
+                content = bag.deserialize(m.raw, m.type_name)
+                absent = np.array((-1.0, *(0.0,) * 8))
+                if count % every == 0:
+                    content.angular_velocity_covariance = absent
+                elif count % every == 1:
+                    content.linear_acceleration_covariance = absent
+                elif count % every == 2:
+                    content.orientation_covariance = np.diag((1e-4, 2e-4, 3e-4)).ravel()
+                    content.orientation.x, content.orientation.w = 0.1 * math.sin(count), 0.995
+                raw, count = serialize(content), count + 1
+            writer.write(m.topic, m.type_name, raw, m.log_time_ns)
+    return path
+
+
+@pytest.fixture(scope="module")
+def lacking(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return without_readings(emulated_bag, tmp_path_factory.mktemp("lacking") / "bag", 5)
+
+
+def test_columns_are_what_the_node_makes_of_each_message(lacking: Path) -> None:
+    settings = {**ANGLES, "use_orientation": True}
+    p = load_slip_parameters({f"sources.imu_data_raw.{name}": value for name, value in settings.items()})
+    imu = p.gyros()["imu/data_raw"]
+    with open_bag(lacking) as bag:
+        messages = [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["imu/data_raw"])]
+        found = [m for m in measurements_of(read_inputs(bag, p, InputFilters(), ())) if type(m) is YawRate]
+    live = [conversions.yaw_rate(message, "imu/data_raw", imu) for message in messages]
+    expected = [m for m in live if isinstance(m, YawRate)]
+    assert list(map(repr, found)) == list(map(repr, expected))
+    assert len(live) > len(expected) > 100
+    assert {np.isnan(m.acceleration_variance) for m in found} == {True, False}
+    assert {m.up_variances[0] for m in found} > {-1.0}
+
+
+def test_messages_without_rates_are_counted_by_name(
+    lacking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = json_of(tmp_path, "replay", lacking)
+    with open_bag(lacking) as bag:
+        count = bag.topics["/imu/data_raw"].count
+    assert found["rejected"]["imu/data_raw"]["without angular velocity"] == math.ceil(count / 5)
+    assert "without angular velocity" in capsys.readouterr().out
+
+
+def with_messages(path: Path, emulated_bag: Path, more: list[tuple[int, str, str, bytes]]) -> Path:
+    """The bag with further messages (log time, topic, type, content)."""
+    with open_bag(emulated_bag) as bag, BagWriter(path) as writer:
+        messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
+        for logged_ns, topic, type_name, raw in sorted([*messages, *more], key=lambda m: m[0]):
+            writer.write(topic, type_name, raw, logged_ns)
+    return path
+
+
+def journal(lines: list[tuple[int, Report]]) -> list[tuple[int, str, str, bytes]]:
+    """Messages of a journal, given as (log time, report) of each line."""
+    messages = (conversions.measurement_report(make, report, k) for k, (_, report) in enumerate(lines))
+    topic = "/measurement_reports"
+    return [(t, topic, REPORT, serialize(m)) for (t, _), m in zip(lines, messages, strict=True)]
+
+
+def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
+    """Measurements are processed up to 0.3 s after their log times, with a reset between; one never is."""
+    with open_bag(emulated_bag) as bag:
+        inputs = read_inputs(bag, P, InputFilters(), ())
+    rng = np.random.default_rng(5)
+    late_ns = (rng.random(len(inputs.rows)) * 3e8).astype(np.int64)
+    order = np.argsort(inputs.rows["log_time_ns"] + late_ns, kind="stable")
+    times_ns = (inputs.rows["log_time_ns"] + late_ns)[order]
+    live = inputs.rows[order]
+    lines = [
+        (int(t), Report(inputs.sources[row["source"]], int(row["stamp_ns"]), Outcome.ACCEPTED))
+        for t, row in zip(times_ns, live, strict=True)
+    ]
+    lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
+    with open_bag(with_messages(tmp_path / "bag", emulated_bag, journal(lines))) as bag:
+        reordered = read_inputs(bag, P, InputFilters(), ())
+    assert_same_bits(np.delete(reordered.rows, 2000), np.delete(live, 2000))
+    assert reordered.counts.lines == len(lines)
+    assert (reordered.counts.lost_lines, reordered.counts.lost_inputs) == (0, 0)
+    command = reordered.rows[2000]
+    assert (command["kind"], reordered.sources[command["source"]]) == (IS_COMMAND, RESET)
+
+
+def test_pose_set_with_stamp_0_does_not_extend_the_duration(emulated_bag: Path, tmp_path: Path) -> None:
+    """Stamp 0 means now."""
+    with open_bag(emulated_bag) as bag:
+        expected = read_inputs(bag, P, InputFilters(), ()).duration_s
+        pose = next(bag.messages(["box_pose"]))
+        content = bag.deserialize(pose.raw, pose.type_name)
+        content.header.stamp.sec = content.header.stamp.nanosec = 0
+    message = (pose.log_time_ns, "/slip_estimator/set_pose", pose.type_name, serialize(content))
+    with open_bag(with_messages(tmp_path / "bag", emulated_bag, [message])) as bag:
+        assert read_inputs(bag, P, InputFilters(), ()).duration_s == expected
