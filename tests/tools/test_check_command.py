@@ -23,7 +23,6 @@ from trackslip_estimation.setup_check.log import Log
 from trackslip_tools.cli import shared_options
 from trackslip_tools.cli.main import main
 
-BAGS = Path(__file__).parents[2] / "bags"
 MAPPING = """\
 time: {column: t, unit: s}
 topics:
@@ -136,12 +135,6 @@ def test_a_playback_at_another_rate_that_was_recorded_is_plausible(tmp_path: Pat
     assert json_of(tmp_path, "check", bag)["causes"] == []
 
 
-def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
-    result = json_of(tmp_path, "check", healthy)
-    assert result["plausible"] is True
-    assert result["causes"] == []
-
-
 UNUSABLE: dict[str, Callable[[Any], None]] = {
     "/gnss_pose": lambda m: setattr(m.pose, "covariance", np.zeros(36)),
     "/imu/data_raw": lambda m: setattr(m, "angular_velocity_covariance", np.full(9, -1.0)),
@@ -184,7 +177,8 @@ def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: 
             messages[k : k + 50] = reversed(messages[k : k + 50])
         for m in messages:
             writer.write(m.topic, m.type_name, m.raw, m.log_time_ns)
-    assert json_of(tmp_path, "check", tmp_path / "bag")["causes"] == []
+    result = json_of(tmp_path, "check", tmp_path / "bag")
+    assert (result["plausible"], result["causes"]) == (True, [])
 
 
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:
@@ -208,12 +202,6 @@ def test_ambiguous_mistake_fails_the_check(tmp_path: Path) -> None:
     assert any("feet" in one["what"] for one in result["undetermined"])
     assert main(["replay", str(bag), "--stop", "60"]) == ExitCode.FAILED
     assert main(["replay", str(bag), "--stop", "60", "--force"]) == ExitCode.DONE
-
-
-def test_undetermined_causes_come_with_the_drive_they_need(tmp_path: Path) -> None:
-    undetermined = json_of(tmp_path, "check", BAGS / "slope_up_sand")["undetermined"]
-    assert undetermined
-    assert all(one.keys() == {"what", "needed"} for one in undetermined)
 
 
 def test_replay_fails_on_a_mistake_unless_it_is_forced(

@@ -3,12 +3,13 @@
 """The live page's buffer: frames agree with the whole, have only JSON values, and memory is bounded."""
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 from fixtures import live_messages as messages
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from trackslip_bags.messages import make
@@ -58,16 +59,13 @@ def test_heading_with_a_large_deviation_is_shown_as_unknown(state: LiveState) ->
 
 
 def test_the_whole_is_the_sum_of_the_frames(state: LiveState) -> None:
+    assert state.full_state() == {}
     frames = drive(state, 40)
     whole = as_json(state.full_state())
     assert whole["number"] == frames[-1]["number"]
     assert whole["rows"] == [frame["row"] for frame in frames]
     assert whole["trail"] == [frame["path"] for frame in frames if "path" in frame]
     assert whole["row"] == frames[-1]["row"]
-
-
-def test_before_the_first_frame_there_is_nothing_to_show(state: LiveState) -> None:
-    assert state.full_state() == {}
 
 
 def test_slips_are_not_shown_at_standstill(state: LiveState) -> None:
@@ -78,15 +76,10 @@ def test_slips_are_not_shown_at_standstill(state: LiveState) -> None:
     assert frame["facts"]["motion"] == "standing"
 
 
-def test_outdated_values_are_not_shown(state: LiveState) -> None:
-    drive(state, 2)
-    assert state.next_frame(60.0, 60e3)["facts"]["position"] == "–"
-    assert state.next_frame(60.0, 60e3)["outlines"]["machine"] == ([], [])
-
-
-def test_last_values_stay_at_the_end_of_the_input(state: LiveState) -> None:
+def test_outdated_values_are_shown_at_the_end_of_the_input_alone(state: LiveState) -> None:
     *_, last = drive(state, 2)
-    assert state.next_frame(60.0, 60e3)["facts"]["position"] == "–"
+    outdated = state.next_frame(60.0, 60e3)
+    assert (outdated["facts"]["position"], outdated["outlines"]["machine"]) == ("–", ([], []))
     before = as_json(state.full_state())
     for number in range(before["number"] + 1, before["number"] + 4):
         frame = as_json(state.final_frame("end of the bag"))
@@ -146,27 +139,29 @@ def test_fixes_of_any_source_are_drawn(state: LiveState, source: str) -> None:
     assert as_json(state.next_frame(0.0, 0.0))["new_fixes"] == [[3.0, 4.0]]
 
 
-def test_silent_source_is_reported_as_lost_and_then_as_back(state: LiveState) -> None:
-    state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+@pytest.mark.parametrize(
+    ("timeout", "fixes_s", "frames_s", "expected"),
+    [
+        (2.0, (-0.5, 0.0, 12.0), (-0.5, 0.0, 1.9, 2.1, 9.0, 12.0), [(2.1, "lost"), (12.0, "back")]),
+        (1.0, (0.0, 1.05, 2.1, 3.15, 4.2), (0.0, 1.04, 2.09, 3.14, 4.19, 5.2, 7.2, 7.4), [(7.4, "lost")]),
+    ],
+    ids=["timeout", "three periods of a slower source"],
+)
+def test_silent_source_is_reported_as_lost_and_then_as_back(
+    state: LiveState,
+    timeout: float,
+    fixes_s: Sequence[float],
+    frames_s: Sequence[float],
+    expected: list[tuple[float, str]],
+) -> None:
+    state.process("slip_estimator/parameters", parameters(rtk=timeout), 0.0)
     reported = []
-    for now_s in (-0.5, 0.0, 1.9, 2.1, 9.0, 12.0):
-        if now_s in (-0.5, 0.0, 12.0):
+    for now_s, is_frame in sorted([*((t, False) for t in fixes_s), *((t, True) for t in frames_s)]):
+        if is_frame:
+            reported += [(now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]]
+        else:
             state.process("rtk", messages.fix(0.0, 0.0), now_s)
-        reported += [(now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]]
-    assert reported == [(2.1, "fix lost: rtk"), (12.0, "fix back: rtk")]
-
-
-def test_a_source_slower_than_its_timeout_is_lost_after_three_periods(state: LiveState) -> None:
-    state.process("slip_estimator/parameters", parameters(rtk=1.0), 0.0)
-    reported = []
-    for now_s in (0.0, 1.05, 2.1, 3.15, 4.2, 5.2, 7.2, 7.4):
-        if now_s <= 4.2:
-            reported += [
-                (now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]
-            ]  # before the next fix
-            state.process("rtk", messages.fix(0.0, 0.0), now_s)
-        reported += [(now_s, text) for *_, text in state.next_frame(now_s, 1e3 * now_s)["events"]]
-    assert reported == [(7.4, "fix lost: rtk")]
+    assert reported == [(now_s, f"fix {change}: rtk") for now_s, change in expected]
 
 
 def test_lost_fix_is_not_reported_beside_diagnostics_of_the_estimator(state: LiveState) -> None:
@@ -186,11 +181,6 @@ def test_malformed_parameters_have_no_effect(state: LiveState, text: str) -> Non
     as_json(state.next_frame(0.0, 0.0))
 
 
-def test_position_too_far_to_be_rounded_is_not_drawn(state: LiveState) -> None:
-    state.process("odometry", messages.odometry(0.0, 1e307), 0.0)
-    assert as_json(state.next_frame(0.0, 0.0))["outlines"]["machine"] == [[], []]
-
-
 def test_a_message_of_another_type_is_refused(state: LiveState) -> None:
     with pytest.raises(AttributeError):
         state.process("odometry", messages.soil(), 0.0)
@@ -200,6 +190,7 @@ def test_a_message_of_another_type_is_refused(state: LiveState) -> None:
     values=st.lists(st.floats(allow_nan=True, allow_infinity=True, width=64), min_size=8, max_size=8),
     text=st.text(),
 )
+@example(values=[0.0, 1e307, *[0.0] * 6], text="")  # overflows when rounded
 def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], text: str) -> None:
     state = LiveState(text, load_vehicle())
     odometry = messages.odometry(values[0], values[1], values[2], values[3])

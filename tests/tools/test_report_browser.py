@@ -106,9 +106,15 @@ def test_every_plot_is_drawn_without_a_complaint(opened_on_tablet: Any, complain
     plots = page.locator(".plot")
     roots = page.evaluate("Bokeh.documents[0].roots().length")
     assert plots.count() == roots > 10
-    for index in range(roots):
-        picture = Image.open(io.BytesIO(plots.nth(index).screenshot())).convert("RGB")
-        assert len(picture.getcolors(1_000_000)) > LEAST_COLOURS, page.evaluate(
+    boxes = plots.evaluate_all(
+        """elements => elements.map(element => {
+               const {left, top, right, bottom} = element.getBoundingClientRect()
+               return [left, top + scrollY, right, bottom + scrollY]
+           })"""
+    )
+    picture = Image.open(io.BytesIO(page.screenshot(full_page=True))).convert("RGB")
+    for index, box in enumerate(boxes):
+        assert len(picture.crop(box).getcolors(1_000_000)) > LEAST_COLOURS, page.evaluate(
             "index => Bokeh.documents[0].roots()[index].title.text", index
         )
     assert page.locator("#verdicts tr").count() >= 10
