@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 import yaml
-from fixtures.setup_drives import make_drive
+from fixtures.setup_drives import PROGRAMME, make_drive
 
 import trackslip as ts
 
@@ -107,7 +107,7 @@ def test_bad_sources_are_named(change: dict[str, Any], sentence: str) -> None:
 
 
 def test_setup_of_a_frame_is_checked() -> None:
-    log = make_drive()
+    log = make_drive(programme=PROGRAMME[:6])
     tracks, gyro, fixes = log.tracks, log.gyros[0], log.fixes[0]
     parts = (
         {"t": tracks.t, "left": tracks.speeds[:, 0], "right": tracks.speeds[:, 1]},

@@ -47,8 +47,8 @@ parameters:
 """
 
 
-def short_drive() -> Log:
-    return make_drive(programme=PROGRAMME[:4])
+def short_drive(parts: int = 8) -> Log:
+    return make_drive(programme=PROGRAMME[:parts])
 
 
 def _table(path: Path, names: str, *columns: Any, form: str = "%.9g") -> None:
@@ -67,13 +67,13 @@ def write_csv(folder: Path, log: Log) -> Path:
 
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = write_csv(tmp_path_factory.mktemp("healthy"), make_drive())
+    folder = write_csv(tmp_path_factory.mktemp("healthy"), short_drive(10))
     return import_drive(folder)
 
 
 @pytest.fixture(scope="module")
 def swapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    log = make_drive().with_tracks(np.array(((0.0, 1.0), (1.0, 0.0))))
+    log = short_drive().with_tracks(np.array(((0.0, 1.0), (1.0, 0.0))))
     return import_drive(write_csv(tmp_path_factory.mktemp("swapped"), log))
 
 
@@ -86,7 +86,7 @@ def import_drive(folder: Path) -> Path:
 
 
 def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(tmp_path: Path) -> None:
-    folder = write_csv(tmp_path, make_drive())
+    folder = write_csv(tmp_path, short_drive())
     file = folder / "gnss.csv"
     names, columns = file.read_text().partition("\n")[0], np.loadtxt(file, delimiter=",", skiprows=1)
     columns[:, 0] += 1.79e9
@@ -98,7 +98,7 @@ def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(tmp_path: 
 
 def write_received(folder: Path, change: Callable[[str, FloatArray], tuple[FloatArray, FloatArray]]) -> Path:
     """The files of a drive with times of arrival; ``change``: rows (n, m) of a file → rows, arrivals (n,)."""
-    folder = write_csv(folder, make_drive())
+    folder = write_csv(folder, short_drive())
     for path in folder.glob("*.csv"):
         names, columns = path.read_text().partition("\n")[0], np.loadtxt(path, delimiter=",", skiprows=1)
         columns, received = change(path.stem, columns)
@@ -244,7 +244,7 @@ def test_calibrate_measures_the_lever_arm_of_an_antenna_without_heading(
 def test_an_import_ends_with_distances_turns_and_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import_drive(write_csv(tmp_path, short_drive()))
+    import_drive(write_csv(tmp_path, short_drive(4)))
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].startswith("next: trackslip replay")
     assert any(line.startswith("distance: ") for line in lines)

@@ -228,7 +228,9 @@ class PathErrors:
             self.last_position = float(np.hypot(*errors[-1, :2]))
         self._position.add(np.sum(errors[:, :2] ** 2, axis=1))
         self._heading.add(errors[np.isfinite(errors[:, 2]), 2] ** 2)
-        for size in self._nees if covariances is not None else ():
+        if covariances is None:
+            return
+        for size in self._nees:
             nees, log_dets = nees_of_each(path, covariances, reference, size)
             known = np.isfinite(nees)
             self._nees[size].add(nees[known])
