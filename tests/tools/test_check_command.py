@@ -73,7 +73,7 @@ def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def swapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    log = short_drive().with_tracks(np.array(((0.0, 1.0), (1.0, 0.0))))
+    log = make_drive().with_tracks(np.array(((0.0, 1.0), (1.0, 0.0))))
     return import_drive(write_csv(tmp_path_factory.mktemp("swapped"), log))
 
 
