@@ -128,10 +128,10 @@ def test_intervals_have_their_stated_coverage(name: str) -> None:
 def test_gyro_noise_does_not_bias_the_gyro_scale() -> None:
     """The noise between two headings is part of the rotation that the gyro measures."""
     drive = Drive(gyro_noise=0.05, heading_noise=0.004)
-    findings = [calibrated(drive, seed).findings["gyro_scale"] for seed in range(3)]
+    findings = [calibrated(drive, seed).findings["gyro_scale"] for seed in range(5)]
     mean = np.mean([f.value for f in findings if f.value is not None])
     assert mean == pytest.approx(drive.scale, abs=0.015)
-    assert sum(f.contains(drive.scale) for f in findings) >= 2
+    assert sum(f.contains(drive.scale) for f in findings) >= 4
 
 
 def half(finding: Finding) -> float:

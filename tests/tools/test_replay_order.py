@@ -146,8 +146,9 @@ def test_copies_of_journal_lines_are_ignored(cuts: tuple[int, ...]) -> None:
 def test_lines_without_numbers_begin_no_runs() -> None:
     lines = journal(*[(10 * k, "a", k) for k in range(1, 9)])
     lines["sequence"] = 0
-    rows, _ = ordered([arrival("a", k, 10 * k) for k in range(1, 9)], lines)
+    rows, counts = ordered([arrival("a", k, 10 * k) for k in range(1, 9)], lines)
     assert set(rows["kind"].tolist()) == {YAW_RATE}
+    assert (counts.lost_lines, counts.disordered_lines) == (0, 0)
 
 
 @pytest.mark.parametrize("seed", range(5))
