@@ -33,7 +33,9 @@ def test_file_loads_and_its_receiver_is_the_source_of_poses(tmp_path: Path) -> N
     assert vehicle.missing_groups_message == "vehicle 'digger' has no hydraulics"
     p = load_slip_parameters(vehicle_layer(vehicle))
     assert p.pose_sources == ("gnss_pose",)
-    assert p.poses()["gnss_pose"].lever[2] > 1.0
+    x, y, z = p.poses()["gnss_pose"].lever
+    assert (x, y) == (0.0, 0.0)  # between the tracks
+    assert z > 1.0
     assert not p.poses()["gnss_pose"].use_heading
 
 
