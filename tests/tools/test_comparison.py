@@ -10,7 +10,8 @@ import pytest
 
 from trackslip_common.arrays import Rows
 from trackslip_common.topics import ODOMETRY
-from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComparison
+from trackslip_estimation.slip.records import ESTIMATE
+from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComparison, odometry_rows
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 
 STEP_NS = 10_000_000
@@ -56,6 +57,16 @@ def test_difference_in_any_number_is_found(name: str) -> None:
     comparison = compared(odometry(range(100)), odometry(range(100), **{name: 1e-3}))
     assert comparison.largest_difference == pytest.approx(1e-3)
     assert not comparison.matches
+    assert f"1.0e-03 in {name} of odometry" in str(comparison)
+
+
+@pytest.mark.parametrize(("column", "name"), [(0, "roll"), (1, "pitch"), (2, "z")])
+def test_difference_in_the_tilt_of_estimates_is_found(column: int, name: str) -> None:
+    live = np.zeros(9, ESTIMATE)
+    live["stamp_ns"] = np.arange(9) * STEP_NS
+    tilted = live.copy()
+    tilted["tilt"]["tilt"][:, column] = 1e-3
+    comparison = compared(odometry_rows(live, live), odometry_rows(tilted, tilted))
     assert f"1.0e-03 in {name} of odometry" in str(comparison)
 
 
