@@ -23,7 +23,7 @@ Change = Callable[[YawRate], float]
 
 
 def recorded(**changed: float) -> Recording:
-    return drive(Machine(duration=45.0, track_error=0.03, **changed))  # type: ignore[arg-type]  # numbers
+    return drive(Machine(duration=45.0, track_error=0.03, **changed))
 
 
 def with_readings(

@@ -160,8 +160,8 @@ def best_branch_script(log: Log, p: SlipEstimatorParameters) -> Records:
     script = np.zeros(len(events), EVENT)
     for n, event in enumerate(events):
         script[n] = event
-    keys = (script[name] for name in ("stamp_ns", "step_kind", "step_source", "after"))
-    return script[np.lexsort(keys[::-1])]
+    keys = [script[name] for name in ("after", "step_source", "step_kind", "stamp_ns")]
+    return script[np.lexsort(keys)]
 
 
 def _window_from_start(start: Window, entries: int) -> Window:
