@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario files: valid ones, and each kind of error."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import pytest
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario, parse_scenario, scenario_names
+from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import simulate
 
+COARSE = dataclasses.replace(load_settings(), step=0.005, sample_period=0.05)
 NAMES = {
     *("thesis", "straight", "turn_left", "turn_right", "slalom"),
     *("start_stop", "spot_turn", "field_trial", "patches", "soil_change", "dig_cycles"),
@@ -31,8 +34,8 @@ def test_the_promised_scenarios_are_there() -> None:
 def test_each_scenario_moves_the_machine(name: str) -> None:
     scenario = load_scenario(name)
     assert scenario.name == name
-    truth = simulate(scenario, upper=load_vehicle(scenario.vehicle).upper_structure)
-    assert truth.duration == pytest.approx(scenario.duration, abs=0.01)
+    truth = simulate(scenario, settings=COARSE, upper=load_vehicle(scenario.vehicle).upper_structure)
+    assert truth.duration == pytest.approx(scenario.duration, abs=0.1)
     assert np.hypot(truth.x, truth.y).max() > 1.0
 
 
@@ -51,7 +54,7 @@ def test_durations_and_shapes() -> None:
 
 
 def test_patches_cover_all_four_soils() -> None:
-    truth = simulate(load_scenario("patches"))
+    truth = simulate(load_scenario("patches"), settings=COARSE)
     assert set(truth.soil_names) == {"sand", "sandy_loam", "clayey_soil", "dry_clay"}
     assert set(truth.soil_index.tolist()) == {0, 1, 2, 3}
 
@@ -90,20 +93,18 @@ def test_patches_alone_need_no_soil() -> None:
     [
         ({"segments": []}, r"segments = \[\] is refused; accepted: one or more"),
         ({"segments": 3}, r"segments = 3 is refused; accepted: a list"),
-        ({"segments": [4]}, r"segments\[0\] = 4 is refused; accepted: names and values"),
+        ({"segments": [4]}, r"segments\[0\]: entry: 4 is not accepted; accepted: names and values"),
         ({"segments": [{**SEGMENT, "duration": -2}]}, r"segments\[0\]: .*duration = -2.0 .*accepted: > 0 s"),
-        ({"segments": [SEGMENT, {"duration": 1, "left": 1}]}, r"segments\[1\]: right = None is missing; acc"),
-        ({"segments": [{**SEGMENT, "left": "fast"}]}, r"left = 'fast' is refused; accepted: a number"),
-        ({"segments": [{**SEGMENT, "left": True}]}, r"left = True is refused; accepted: a number"),
-        ({"segments": [{**SEGMENT, "right": float("nan")}]}, r"right = nan is refused; accepted: finite"),
+        ({"segments": [SEGMENT, {"duration": 1, "left": 1}]}, r"segments\[1\]: .*key 'right' is missing; acc"),
+        ({"segments": [{**SEGMENT, "left": float("nan")}]}, r"segment: left: nan is not accepted; accepted:"),
+        ({"segments": [{**SEGMENT, "load": -1}]}, r"segment: load = -1.0 is refused; accepted: >= 0 kg"),
         ({"segments": [{**SEGMENT, "speed": 1}]}, r"unknown key 'speed'; accepted: duration, left, right"),
-        ({"colour": "red"}, r"unknown key 'colour'; accepted: name, soil"),
-        ({"name": None}, r"name = None is refused; accepted: a name"),
-        ({"soil": 7}, r"soil = 7 is refused; accepted: a name"),
+        ({"colour": "red"}, r"scenario: unknown key 'colour'; accepted: name, soil"),
+        ({"soil": 7}, r"soil: 7 is not accepted; accepted: text"),
         ({"relief_pressure": -1.0}, r"relief_pressure = -1.0 is refused; accepted: > 0 Pa"),
         ({"patches": [{**PATCH, "to_x": 0}]}, r"patches\[0\]: .*empty: to_x = 0.0; accepted: > from_x = 0.0"),
         ({"patches": [{**PATCH, "to_y": -1}]}, r"empty: to_y = -1.0; accepted: > from_y"),
-        ({"patches": [{"soil": "sand"}]}, r"patches\[0\]: from_x = None is missing"),
+        ({"patches": [{"soil": "sand"}]}, r"patches\[0\]: patch: key 'from_x' is missing"),
     ],
 )
 def test_bad_scenarios_are_refused_in_one_line(change: dict[str, Any], message: str) -> None:

@@ -4,6 +4,7 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,13 @@ def test_unwritable_output_is_refused(tmp_path: Path) -> None:
     missing = tmp_path / "no" / "out.json"
     with pytest.raises(InputError, match=r"--json: '.*out\.json' cannot be written"):
         run(parse("--scenario", "straight", "--json", str(missing)))
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_leaves_nothing_of_simulate(tmp_path: Path, refuse: Callable[..., str]) -> None:
+    options = ("--scenario", "straight", "--duration", "2", "--output", tmp_path / "bag")
+    assert "cannot be written (No space left on device)" in refuse("simulate", *options)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -47,16 +47,15 @@ def test_a_scenario_names_its_terrain() -> None:
 @pytest.mark.parametrize(
     ("feature", "message"),
     [
-        ({**PLANE, "kind": "cliff"}, "kind = 'cliff' is refused; accepted: plane, ramp, hill"),
+        ({**PLANE, "kind": "cliff"}, "kind: 'cliff' is not accepted; accepted: plane, ramp, hill"),
         ({**PLANE, "slope_deg": 46.0}, "a slope of 46° is refused; accepted: within ±45°"),
-        ({**PLANE, "slope_deg": math.nan}, "slope_deg = nan is refused; accepted: within ±1e+06"),
+        ({**PLANE, "slope_deg": math.nan}, "slope_deg: nan is not accepted; accepted: a finite number"),
         ({**PLANE, "x": 1.0}, "unknown key 'x'; accepted: kind, direction_deg, slope_deg"),
         ({**RAMP, "rounding": 0.0}, "rounding = 0.0 is refused; accepted: at least 0.001 m"),
         ({**RAMP, "length": 1.0}, "length = 1.0 is refused; accepted: >= rounding"),
-        ({**HILL, "width": -1.0}, "width = -1.0 is refused; accepted: at least 0.001 m"),
         ({**HILL, "width": 5e-324}, "width = 5e-324 is refused; accepted: at least 0.001 m"),
         ({**HILL, "width": 1e308}, "width = 1e+308 is refused; accepted: within ±1e+06"),
-        ({"kind": "hill"}, "x = None is missing; accepted: a number"),
+        ({"kind": "hill"}, "feature: key 'x' is missing; accepted: kind, x, y, height, width"),
     ],
 )
 def test_a_wrong_feature_is_refused(feature: dict[str, Any], message: str) -> None:

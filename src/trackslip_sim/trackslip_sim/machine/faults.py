@@ -18,12 +18,13 @@ from typing import Any
 from trackslip_common.errors import InputError
 from trackslip_common.units import NS_PER_S
 from trackslip_common.yaml_text import parse_yaml
-from trackslip_sim.scenarios.checks import check_keys, read_number, read_text
+from trackslip_common.yaml_tree import check_keys, number, text
 
 CAN, WATSON, SICK, GNSS = SENSORS = ("can", "watson", "sick", "gnss")
 _SERIAL = (WATSON, SICK, GNSS)
 _MAX_DURATION = 86_400.0  # s
-_KEYS = ("sensor", "kind", "start", "duration", "value")
+_KEYS = ("sensor", "kind", "start", "duration")
+_NUMBERS = ("start", "duration", "value")
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,6 @@ class Fault:
             raise InputError(
                 f"fault: sensor '{self.sensor}' has no {self.kind}; accepted: {', '.join(kind.sensors)}"
             )
-        if not math.isfinite(self.start):
-            raise InputError(f"fault: start = {self.start!r} is refused; accepted: a finite number of s")
         if not 0.0 < self.duration <= _MAX_DURATION:
             raise InputError(
                 f"fault: duration = {self.duration!r} is refused; accepted: > 0 and <= {_MAX_DURATION:g} s"
@@ -129,10 +128,10 @@ def read_fault(tree: Mapping[str, Any]) -> Fault:
     Raises:
         InputError: a key is missing or unknown, or a value is refused.
     """
-    check_keys(tree, _KEYS)
-    value = read_number(tree, "value") if "value" in tree else 0.0
-    sensor, kind = read_text(tree, "sensor"), read_text(tree, "kind")
-    return Fault(sensor, kind, read_number(tree, "start"), read_number(tree, "duration"), value)
+    check_keys("fault", tree, _KEYS, ("value",))
+    sensor, kind = (text(f"fault: {key}", tree[key]) for key in ("sensor", "kind"))
+    numbers = {key: number(f"fault: {key}", value) for key, value in tree.items() if key in _NUMBERS}
+    return Fault(sensor, kind, **numbers)
 
 
 def parse_fault(yaml_text: str, now: float) -> Fault:
@@ -143,7 +142,7 @@ def parse_fault(yaml_text: str, now: float) -> Fault:
     """
     tree = parse_yaml(yaml_text, "fault")
     if not isinstance(tree, Mapping):
-        raise InputError(f"fault: {yaml_text!r} is refused; accepted: a mapping of {', '.join(_KEYS)}")
+        raise InputError(f"fault: {yaml_text!r} is refused; accepted: a mapping of {', '.join(_KEYS)}, value")
     return read_fault({"start": now, **tree})
 
 

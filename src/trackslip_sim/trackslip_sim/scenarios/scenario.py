@@ -15,20 +15,14 @@ import numpy as np
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
+from trackslip_common.yaml_tree import check_keys, number, text
 from trackslip_sim.machine.faults import Fault, read_fault
-from trackslip_sim.scenarios.checks import (
-    check_keys,
-    load_record,
-    read_list,
-    read_number,
-    read_text,
-    record_names,
-)
+from trackslip_sim.scenarios.record_files import load_record, read_list, record_names
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.terrain import FLAT, Terrain
 
-_KEYS = ("name", "soil", "patches", "terrain", "segments", "relief_pressure", "faults", "vehicle")
+_OPTIONAL = ("soil", "patches", "terrain", "segments", "relief_pressure", "faults", "vehicle")
 
 
 @dataclass(frozen=True)
@@ -36,7 +30,7 @@ class Segment:
     """Sprocket speeds commanded for a duration; target of the swing and load of the bucket.
 
     Raises:
-        InputError: the duration is not above 0, a number is not finite, or the load is negative.
+        InputError: the duration is not above 0, or the load is negative.
     """
 
     duration: float  # s
@@ -46,13 +40,8 @@ class Segment:
     load: float | None = None  # kg in the bucket; None: as before
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.duration) and self.duration > 0.0):
+        if not 0.0 < self.duration < math.inf:
             raise InputError(f"segment: duration = {self.duration!r} is refused; accepted: > 0 s")
-        for name, unit in (("left", "rad/s"), ("right", "rad/s"), ("swing_to", "rad"), ("load", "kg")):
-            if not math.isfinite(getattr(self, name) or 0.0):
-                raise InputError(
-                    f"segment: {name} = {getattr(self, name)!r} is refused; accepted: finite {unit}"
-                )
         if (self.load or 0.0) < 0.0:
             raise InputError(f"segment: load = {self.load!r} is refused; accepted: >= 0 kg")
 
@@ -90,7 +79,7 @@ class Scenario:
         Raises:
             InputError: the duration is not above 0.
         """
-        if not (math.isfinite(duration) and duration > 0.0):
+        if not 0.0 < duration < math.inf:
             raise InputError(f"duration: {duration!r} is refused; accepted: > 0 s")
         segments: list[Segment] = []
         remaining = duration
@@ -188,31 +177,32 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
     Raises:
         InputError: a key is missing or unknown, or a value is refused.
     """
-    check_keys(tree, _KEYS)
+    check_keys("scenario", tree, ("name",), _OPTIONAL)
+    texts = {key: text(key, tree[key]) for key in ("name", "soil", "terrain", "vehicle") if key in tree}
     patches = tuple(read_list(tree, "patches", _read_patch))
     segments = tuple(read_list(tree, "segments", _read_segment))
+    relief = number("relief_pressure", tree["relief_pressure"]) if "relief_pressure" in tree else None
     if "soil" not in tree and not patches:
         raise InputError("soil is missing; accepted: a name, or 'patches' with one or more")
     return Scenario(
-        name=read_text(tree, "name"),
-        soil=read_text(tree, "soil") if "soil" in tree else patches[0].soil,
+        name=texts["name"],
+        soil=texts.get("soil") or patches[0].soil,
         segments=segments,
         patches=patches,
-        terrain=load_terrain(read_text(tree, "terrain")) if "terrain" in tree else FLAT,
-        relief_pressure=read_number(tree, "relief_pressure") if "relief_pressure" in tree else None,
+        terrain=load_terrain(texts.get("terrain", FLAT.name)),
+        relief_pressure=relief,
         faults=tuple(read_list(tree, "faults", read_fault)),
-        vehicle=read_text(tree, "vehicle") if "vehicle" in tree else DEFAULT_VEHICLE,
+        vehicle=texts.get("vehicle", DEFAULT_VEHICLE),
     )
 
 
 def _read_patch(entry: Mapping[str, Any]) -> Patch:
     edges = ("from_x", "to_x", "from_y", "to_y")
-    check_keys(entry, ("soil", *edges))
-    return Patch(soil=read_text(entry, "soil"), **{edge: read_number(entry, edge) for edge in edges})
+    check_keys("patch", entry, ("soil", *edges), ())
+    numbers = {edge: number(f"patch: {edge}", entry[edge]) for edge in edges}
+    return Patch(soil=text("patch: soil", entry["soil"]), **numbers)
 
 
 def _read_segment(entry: Mapping[str, Any]) -> Segment:
-    keys = ("duration", "left", "right")
-    check_keys(entry, (*keys, "swing_to", "load"))
-    optional = {"swing_to", "load"} & entry.keys()
-    return Segment(**{key: read_number(entry, key) for key in (*keys, *optional)})
+    check_keys("segment", entry, ("duration", "left", "right"), ("swing_to", "load"))
+    return Segment(**{key: number(f"segment: {key}", value) for key, value in entry.items()})

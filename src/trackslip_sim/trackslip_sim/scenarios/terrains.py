@@ -8,14 +8,8 @@ from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_sim.scenarios.checks import (
-    check_keys,
-    load_record,
-    read_list,
-    read_number,
-    read_text,
-    record_names,
-)
+from trackslip_common.yaml_tree import check_keys, choice, number, text
+from trackslip_sim.scenarios.record_files import load_record, read_list, record_names
 from trackslip_sim.truth.terrain import FLAT, Feature, Hill, Plane, Ramp, Terrain
 
 _MIN_LENGTH, _MAX_VALUE = 1e-3, 1e6  # smallest rounding or width, m; largest magnitude of any number
@@ -43,30 +37,22 @@ def parse_terrain(tree: Mapping[str, Any]) -> Terrain:
     Raises:
         InputError: a key is missing or unknown, or a value is refused.
     """
-    check_keys(tree, ("name", "features"))
-    return Terrain(read_text(tree, "name"), tuple(read_list(tree, "features", _read_feature)))
+    check_keys("terrain", tree, ("name",), ("features",))
+    return Terrain(text("terrain: name", tree["name"]), tuple(read_list(tree, "features", _read_feature)))
 
 
 def _read_feature(entry: Mapping[str, Any]) -> Feature:
-    kind = read_text(entry, "kind")
-    if kind not in _KINDS:
-        raise InputError(f"kind = {kind!r} is refused; accepted: {', '.join(_KINDS)}")
-    build, keys = _KINDS[kind]
-    check_keys(entry, ("kind", *keys))
-    numbers = {key: _read_bounded(entry, key) for key in keys}
-    for key in ("rounding", "width"):
-        if key in numbers and not numbers[key] >= _MIN_LENGTH:
-            raise InputError(f"{key} = {numbers[key]!r} is refused; accepted: at least {_MIN_LENGTH:g} m")
+    build, keys = _KINDS[choice("feature: kind", entry.get("kind"), _KINDS)]
+    check_keys("feature", entry, ("kind", *keys), ())
+    numbers = {key: number(f"feature: {key}", entry[key]) for key in keys}
+    for key, value in numbers.items():
+        if not abs(value) <= _MAX_VALUE:
+            raise InputError(f"{key} = {value!r} is refused; accepted: within ±{_MAX_VALUE:g}")
+        if key in ("rounding", "width") and not value >= _MIN_LENGTH:
+            raise InputError(f"{key} = {value!r} is refused; accepted: at least {_MIN_LENGTH:g} m")
     if numbers.get("length", 0.0) < numbers.get("rounding", 0.0):
         raise InputError(f"length = {numbers['length']!r} is refused; accepted: >= rounding")
     return build(*(math.radians(value) if key.endswith("_deg") else value for key, value in numbers.items()))
-
-
-def _read_bounded(entry: Mapping[str, Any], key: str) -> float:
-    value = read_number(entry, key)
-    if not abs(value) <= _MAX_VALUE:
-        raise InputError(f"{key} = {value!r} is refused; accepted: within ±{_MAX_VALUE:g}")
-    return value
 
 
 _SLOPE_KEYS = ("direction_deg", "slope_deg")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads records from YAML mappings, with one-line errors."""
+"""Records from YAML files: by their names in ``config/`` or from a user's file, and lists of them."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError, suggestion
+from trackslip_common.yaml_tree import section
 
 T = TypeVar("T")
 
@@ -46,36 +47,7 @@ def read_list(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, A
     if not isinstance(listed, list):
         raise InputError(f"{key} = {listed!r} is refused; accepted: a list")
     for index, entry in enumerate(listed):
-        if not isinstance(entry, Mapping):
-            raise InputError(f"{key}[{index}] = {entry!r} is refused; accepted: names and values")
         try:
-            yield build(entry)
+            yield build(section("entry", entry))
         except InputError as error:
             raise InputError(f"{key}[{index}]: {error}") from error
-
-
-def check_keys(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
-    """Raise ``InputError`` for a key that is not among ``keys``."""
-    for key in tree:
-        if key not in keys:
-            raise InputError(f"unknown key '{key}'{suggestion(str(key), keys)}")
-
-
-def read_number(tree: Mapping[str, Any], key: str) -> float:
-    """The number under ``key``; ``InputError`` without one."""
-    value = tree.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{key} = {value!r} is {_defect(tree, key)}; accepted: a number")
-    return float(value)
-
-
-def read_text(tree: Mapping[str, Any], key: str) -> str:
-    """The text under ``key``; ``InputError`` without one."""
-    value = tree.get(key)
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{key} = {value!r} is {_defect(tree, key)}; accepted: a name")
-    return value
-
-
-def _defect(tree: Mapping[str, Any], key: str) -> str:
-    return "refused" if key in tree else "missing"
