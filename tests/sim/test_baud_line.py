@@ -2,69 +2,55 @@
 # SPDX-License-Identifier: Apache-2.0
 """A serial line delivers whole characters at its rate, in order, each once."""
 
-import random
+from collections.abc import Callable
 
-from trackslip_sim.devices.line import BaudLine
+from hypothesis import given
+from hypothesis import strategies as st
 
-CHAR_NS = 1_000_000  # at 11 kBd and 11 bits a character
+from trackslip_sim.devices.line import NEVER_NS, BaudLine
 
-
-def line() -> BaudLine:
-    return BaudLine(11_000, 11)
-
-
-def test_character_arrives_with_its_last_bit() -> None:
-    wire = line()
-    wire.send(b"ab", 5_000_000)
-    assert wire.read(5_000_000 + CHAR_NS - 1) == b""
-    assert wire.read(5_000_000 + CHAR_NS) == b"a"
-    assert wire.read(5_000_000 + CHAR_NS) == b""
-    assert wire.busy_until_ns == 5_000_000 + 2 * CHAR_NS
-    assert wire.read(wire.busy_until_ns) == b"b"
+BITS, TICK_NS = 11, 2_000_000
+RATES = st.sampled_from((9600, 38_400, 500_000))
 
 
-def test_bytes_wait_for_those_before_them() -> None:
-    wire = line()
-    wire.send(b"abc", 0)
-    wire.send(b"d", CHAR_NS)
-    assert wire.read(3 * CHAR_NS) == b"abc"
-    assert wire.read(4 * CHAR_NS) == b"d"
+@given(st.lists(st.tuples(st.integers(0, 10_000_000), RATES, st.binary(max_size=20)), max_size=8))
+def test_each_character_arrives_once_with_its_last_bit(sent: list[tuple[int, int, bytes]]) -> None:
+    """After the characters before it, at the rate of its sending; an idle line accumulates no capacity."""
+    line, now_ns, free_ns = BaudLine(9600, BITS), 0, 0
+    arrivals: list[tuple[int, int]] = []
+    received = b""
+    for silence_ns, baud, data in sent:
+        now_ns += silence_ns
+        line.baud = baud
+        received += line.read(now_ns)
+        assert received == bytes(byte for at_ns, byte in arrivals if at_ns <= now_ns)
+        line.send(data, now_ns)
+        begin_ns = max(now_ns, free_ns)
+        for count, byte in enumerate(data, 1):
+            free_ns = begin_ns - (-count * BITS * 10**9 // baud)
+            arrivals.append((free_ns, byte))
+        assert line.busy_until_ns == free_ns
+    for at_ns, byte in arrivals[len(received) :]:
+        assert line.read(at_ns - 1) == b""
+        assert line.read(at_ns) == bytes((byte,))
 
 
-def test_idle_line_does_not_accumulate_capacity() -> None:
-    wire = line()
-    wire.send(b"a", 0)
-    wire.send(b"b", 10 * CHAR_NS)
-    assert wire.read(10 * CHAR_NS) == b"a"
-    assert wire.read(11 * CHAR_NS) == b"b"
+@given(count=st.integers(1, 800), baud=st.sampled_from((9600, 38_400)), start_ns=st.integers(0, TICK_NS - 1))
+def test_two_reads_bound_the_start_as_well_as_all_reads(count: int, baud: int, start_ns: int) -> None:
+    def bounds(next_read_ns: Callable[[BaudLine, int], int]) -> tuple[list[int], int]:
+        """Bounds of the start, ns, from each read, and the time of the last read."""
+        line, now_ns, got = BaudLine(baud, 10), 0, 0
+        line.send(bytes(count), start_ns)
+        found = []
+        while got < count:
+            now_ns = next_read_ns(line, now_ns) if now_ns else TICK_NS
+            got += len(line.read(now_ns))
+            if got:
+                found.append(now_ns - got * 10_000_000_000 // baud)
+        assert line.next_read_ns(now_ns, TICK_NS) == NEVER_NS
+        return found, now_ns
 
-
-def test_new_rate_applies_to_bytes_sent_after_it() -> None:
-    wire = line()
-    wire.send(b"a", 0)
-    wire.baud = 22_000
-    wire.send(b"bc", 0)
-    assert wire.read(CHAR_NS) == b"a"
-    assert wire.read(CHAR_NS + CHAR_NS // 2) == b"b"
-    assert wire.busy_until_ns == 2 * CHAR_NS
-
-
-def test_empty_send_keeps_the_line_free() -> None:
-    wire = line()
-    wire.send(b"", 7)
-    assert wire.busy_until_ns == 0
-    assert wire.read(7) == b""
-
-
-def test_odd_rates_lose_and_repeat_nothing() -> None:
-    rng = random.Random(1)
-    wire = BaudLine(38_400, 11)
-    sent, received, now_ns = bytearray(), bytearray(), 0
-    for _ in range(500):
-        data = rng.randbytes(rng.randrange(20))
-        wire.send(data, now_ns)
-        sent += data
-        now_ns += rng.randrange(10_000_000)
-        received += wire.read(now_ns)
-    received += wire.read(wire.busy_until_ns)
-    assert received == sent
+    few, end_ns = bounds(lambda line, now_ns: line.next_read_ns(now_ns, TICK_NS))
+    every, last_ns = bounds(lambda _, now_ns: now_ns + TICK_NS)
+    assert (min(few), end_ns) == (min(every), last_ns)
+    assert len(few) <= 3

@@ -12,13 +12,8 @@ from trackslip_bags.messages import deserialize, make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.topics import TOPICS
-from trackslip_drivers import conversions
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
-from trackslip_drivers.watson_parameters import WatsonParameters
-from trackslip_sim.devices.line import NEVER_NS, BaudLine
 from trackslip_sim.machine import offline
-from trackslip_sim.machine.bag_messages import sensor_serializers
-from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
+from trackslip_sim.machine.excavator import EmulatedExcavator
 from trackslip_sim.machine.message_columns import MessageColumns, set_fields, stamp_columns
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
@@ -30,7 +25,6 @@ from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_piec
 PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5, "gnss.device.rate": 10.0})
 SCENARIO = load_scenario("patches").with_duration(4.0)
 MS = 1_000_000
-WATSON = default_parameters(WatsonParameters, "watson_imu")
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
@@ -92,64 +86,6 @@ def test_window_keeps_the_recent_past() -> None:
     assert not window.advance(1000.0)
     assert window.truth.t[-1] == pytest.approx(130.0)
     np.testing.assert_allclose(np.diff(window.truth.t), 0.005, atol=1e-9)
-
-
-@pytest.mark.parametrize("count", [1, 2, 45, 730])
-@pytest.mark.parametrize("baud", [9600, 38400])
-def test_two_reads_bound_the_start_as_well_as_all_reads(count: int, baud: int) -> None:
-    for start_ns in (0, 300_000, 1_999_999):
-        all_reads, few = BaudLine(baud, 10), BaudLine(baud, 10)
-        for line in (all_reads, few):
-            line.send(bytes(count), start_ns)
-        bounds: dict[str, list[int]] = {"all": [], "few": []}
-        ends = dict.fromkeys(bounds, 0)
-        for name, line in (("all", all_reads), ("few", few)):
-            now_ns, got = 2 * MS, 0
-            while got < count:
-                got += len(line.read(now_ns))
-                if got:
-                    bounds[name].append(now_ns - got * 10_000_000_000 // baud)
-                ends[name] = now_ns
-                now_ns = (
-                    now_ns + 2 * MS if name == "all" else min(line.next_read_ns(now_ns, 2 * MS), NEVER_NS)
-                )
-        assert min(bounds["few"]) == min(bounds["all"])
-        assert ends["few"] == ends["all"]
-        assert len(bounds["few"]) <= 3
-        assert few.next_read_ns(ends["few"], 2 * MS) == NEVER_NS
-
-
-def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
-    rng = np.random.default_rng(0)
-    numbers = rng.standard_normal((50, 9))
-    stamps = rng.integers(0, 2**40, 50).tolist()
-    vectors = [tuple(tuple(part) for part in row.reshape(3, 3).tolist()) for row in numbers]
-    sprockets = [SprocketSample(s, *row[:4]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
-    pressures = [HydraulicsSample(s, *row[:5]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
-    swings = [SwingSample(s, *row[:2]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
-    lines = [ImuSample(s, a, b, c, over_range=False) for s, (a, b, c) in zip(stamps, vectors, strict=True)]
-    stddevs = (WATSON.linear_acceleration_stddev, WATSON.angular_velocity_stddev)
-    joints = conversions.blank_joint_state(make, "base_link")
-    swing = conversions.blank_swing(make, "base_link")
-    levels = conversions.blank_track_hydraulics(make, "base_link")
-    imu = conversions.blank_imu(make, WATSON.frame_id, *stddevs)
-    field = conversions.blank_magnetic_field(make, WATSON.frame_id, WATSON.magnetic_field_stddev)
-    expected = {
-        "sprockets": [serialize(conversions.fill_joint_state(joints, s)) for s in sprockets],
-        "swing": [serialize(conversions.fill_swing(swing, s)) for s in swings],
-        "hydraulics": [serialize(conversions.fill_track_hydraulics(levels, s)) for s in pressures],
-        "imu/data_raw": [serialize(conversions.fill_imu(imu, s)) for s in lines],
-        "imu/mag": [serialize(conversions.fill_magnetic_field(field, s)) for s in lines],
-    }
-    records = {
-        "swing": swings,
-        "sprockets": sprockets,
-        "hydraulics": pressures,
-        "imu/data_raw": lines,
-        "imu/mag": lines,
-    }
-    for topic, serializer in sensor_serializers(WATSON, "base_link").items():
-        assert list(serializer(records[topic])) == expected[topic]
 
 
 def test_columns_of_every_kind_of_field() -> None:

@@ -3,19 +3,18 @@
 """Batches of records for a bag: serialized together per topic, written in the order of arrival."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import absolute_name
+from trackslip_bags.types import ensure_type, fields_by
 from trackslip_bags.writer import BagWriter
+from trackslip_common.message_buffer import MessageBuffer
 from trackslip_common.topics import TOPICS
 from trackslip_drivers import conversions
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_drivers.watson_parameters import WatsonParameters
-from trackslip_sim.machine.message_columns import Columns, MessageColumns, stamp_columns
+from trackslip_sim.machine.message_columns import Columns, MessageColumns
 
 Serialize = Callable[[Sequence[Any]], Iterable[bytes]]
 """The records of one topic to their messages."""
@@ -59,57 +58,29 @@ def column_serializer(blank: Any, columns: Callable[[Sequence[Any]], Columns]) -
 
 
 def sensor_serializers(watson: WatsonParameters, base_frame: str) -> dict[str, Serialize]:
-    """Serializers of the drivers' records; the constant fields come from the drivers' conversions."""
+    """Serializers of the drivers' records by the drivers' own conversions."""
     stddevs = (watson.linear_acceleration_stddev, watson.angular_velocity_stddev)
     imu = conversions.blank_imu(make, watson.frame_id, *stddevs)
     field = conversions.blank_magnetic_field(make, watson.frame_id, watson.magnetic_field_stddev)
+    joints, swing = conversions.blank_joint_state(make, base_frame), conversions.blank_swing(make, base_frame)
+    hydraulics = conversions.blank_track_hydraulics(make, base_frame)
     return {
-        "sprockets": column_serializer(conversions.blank_joint_state(make, base_frame), _sprocket_columns),
-        "swing": column_serializer(conversions.blank_swing(make, base_frame), _swing_columns),
-        "hydraulics": column_serializer(
-            conversions.blank_track_hydraulics(make, base_frame), _hydraulics_columns
-        ),
-        "imu/data_raw": column_serializer(imu, _imu_columns),
-        "imu/mag": column_serializer(field, _field_columns),
+        "sprockets": _filling_serializer(joints, conversions.fill_joint_state),
+        "swing": _filling_serializer(swing, conversions.fill_swing),
+        "hydraulics": _filling_serializer(hydraulics, conversions.fill_track_hydraulics),
+        "imu/data_raw": _filling_serializer(imu, conversions.fill_imu),
+        "imu/mag": _filling_serializer(field, conversions.fill_magnetic_field),
     }
 
 
-def _sprocket_columns(samples: Sequence[SprocketSample]) -> Columns:
-    return {
-        **stamp_columns([s.stamp_ns for s in samples]),
-        "position": np.array([(s.left_position, s.right_position) for s in samples]),
-        "velocity": np.array([(s.left_velocity, s.right_velocity) for s in samples]),
-    }
+def _filling_serializer(blank: Any, fill: Callable[[Any, Any], object]) -> Serialize:
+    """A serializer that fills each record into the bytes of ``blank``, as the nodes of the drivers do."""
+    type_name = blank.__msgtype__
+    buffer = MessageBuffer(type_name, fields_by(ensure_type(type_name)), serialize(blank))
 
+    def serialize_all(records: Sequence[Any]) -> Iterator[bytes]:
+        for record in records:
+            fill(buffer.message, record)
+            yield bytes(buffer)
 
-def _swing_columns(samples: Sequence[SwingSample]) -> Columns:
-    return {
-        **stamp_columns([s.stamp_ns for s in samples]),
-        "position": np.array([[s.position] for s in samples]),
-        "velocity": np.array([[s.velocity] for s in samples]),
-    }
-
-
-def _hydraulics_columns(samples: Sequence[HydraulicsSample]) -> Columns:
-    names = ("left_pressure", "right_pressure", "left_spool", "right_spool", "supply_pressure")
-    columns = {name: np.array([getattr(s, name) for s in samples]) for name in names}
-    return {**stamp_columns([s.stamp_ns for s in samples]), **columns}
-
-
-def _imu_columns(samples: Sequence[ImuSample]) -> Columns:
-    return {
-        **stamp_columns([s.stamp_ns for s in samples]),
-        **_vector_columns("angular_velocity", [s.angular_velocity for s in samples]),
-        **_vector_columns("linear_acceleration", [s.acceleration for s in samples]),
-    }
-
-
-def _field_columns(samples: Sequence[ImuSample]) -> Columns:
-    return {
-        **stamp_columns([s.stamp_ns for s in samples]),
-        **_vector_columns("magnetic_field", [s.magnetic_field for s in samples]),
-    }
-
-
-def _vector_columns(name: str, vectors: Sequence[Any]) -> Columns:
-    return dict(zip((f"{name}.x", f"{name}.y", f"{name}.z"), np.array(vectors).T, strict=True))
+    return serialize_all
