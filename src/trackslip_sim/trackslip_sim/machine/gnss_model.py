@@ -59,15 +59,14 @@ class _GaussMarkov:
     """A first-order Gauss–Markov process, evaluated at increasing times."""
 
     def __init__(self, stddev: float, time: float) -> None:
-        self._stddev, self._time = stddev, time
-        self._value: FloatArray | None = None
-        self._last_time = 0.0
+        self._stddevs, self._time = stddev * np.array((1.0, 1.0, _UP_RATIO)), time
+        self._value = np.zeros(3)
+        self._last_time = -math.inf
 
     def advance(self, t: float, normal: FloatArray) -> FloatArray:
-        """Advance to time ``t``; return the process (k,), m, from standard normal draws ``normal`` (k,)."""
-        decay = 0.0 if self._value is None else math.exp(-abs(t - self._last_time) / self._time)
-        before = np.zeros_like(normal) if self._value is None else self._value
-        self._value = decay * before + math.sqrt(1.0 - decay * decay) * self._stddev * normal
+        """Advance to time ``t``, s; return the error (3,) east, north, up, m, from normal draws (3,)."""
+        decay = math.exp(-abs(t - self._last_time) / self._time)
+        self._value = decay * self._value + math.sqrt(1.0 - decay * decay) * self._stddevs * normal
         self._last_time = t
         return self._value
 
@@ -91,7 +90,11 @@ class GnssModel:
         self._random = np.random.default_rng(seed)
         self._altitude_random = np.random.default_rng((seed, 1))  # separate: the other draws stay unchanged
         self._velocity_random = np.random.default_rng((seed, 2))
-        self._correlated, self._correlated_up = self._error_processes(1.0), self._error_processes(_UP_RATIO)
+        self._correlated = {
+            FIXED: _GaussMarkov(p.fixed_stddev * math.sqrt(_FIXED_CORRELATED_SHARE), _FIXED_TIME),
+            FLOAT: _GaussMarkov(p.float_stddev, p.float_time),
+            SINGLE: _GaussMarkov(_CODE_STDDEV, _CODE_TIME),
+        }
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
         self._stuck_placement: Placement | None = None
 
@@ -137,35 +140,21 @@ class GnssModel:
         east, north = (velocity + error).tolist()
         return math.hypot(east, north), heading_of_yaw(math.atan2(north, east))
 
-    def _error_processes(self, share: float) -> dict[int, _GaussMarkov]:
-        """Time-correlated errors by quality, scaled by ``share``."""
-        p = self._p
-        return {
-            FIXED: _GaussMarkov(share * p.fixed_stddev * math.sqrt(_FIXED_CORRELATED_SHARE), _FIXED_TIME),
-            FLOAT: _GaussMarkov(share * p.float_stddev, p.float_time),
-            SINGLE: _GaussMarkov(share * _CODE_STDDEV, _CODE_TIME),
-        }
-
     def _position_error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
         """Position error east, north, up, m; all processes advance, whatever the quality."""
-        normal = self._random.standard_normal((len(self._correlated), 2))
-        t = stamp_ns / NS_PER_S
-        errors = {
-            q: process.advance(t, n) for (q, process), n in zip(self._correlated.items(), normal, strict=True)
+        count = len(self._correlated)
+        normal = self._random.standard_normal((count, 2))
+        normal_up = self._altitude_random.standard_normal((count, 1))
+        errors = {0: np.zeros(3)} | {
+            q: process.advance(stamp_ns / NS_PER_S, n)
+            for (q, process), n in zip(self._correlated.items(), np.hstack((normal, normal_up)), strict=True)
         }
-        normal_up = self._altitude_random.standard_normal((len(self._correlated), 1))
-        up_errors = {
-            q: process.advance(t, n)
-            for (q, process), n in zip(self._correlated_up.items(), normal_up, strict=True)
-        }
-        white = self._random.standard_normal(3)
-        east, north = errors.get(quality, np.zeros(2))
         white_stddev = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_CORRELATED_SHARE)
+        white = white_stddev * np.array((1.0, 1.0, _UP_RATIO)) * self._random.standard_normal(3)
         step = self._faults.active_fault(f.GNSS, f.MULTIPATH, stamp_ns)
-        if step is not None:
-            east += step.value
-        up = up_errors.get(quality, np.zeros(1))[0] + _UP_RATIO * white_stddev * white[2]
-        return float(east + white_stddev * white[0]), float(north + white_stddev * white[1]), float(up)
+        multipath = np.array((0.0 if step is None else step.value, 0.0, 0.0))
+        east, north, up = (errors[quality] + multipath + white).tolist()
+        return east, north, up
 
     def _true_placement(self, stamp_ns: int) -> Placement:
         """The true placement; while stuck the one at the begin of the fault."""
