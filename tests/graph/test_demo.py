@@ -18,7 +18,8 @@ from rosbags.highlevel import AnyReader
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_sim.demo.graph import SENSOR_TOPICS, DemoOptions, demo_nodes
+from trackslip_common.topics import SENSOR_TOPICS
+from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 from trackslip_sim.demo.run import main as run_demo
 from trackslip_tools.cli.outputs import PAGE_PREFIX
 
@@ -59,8 +60,8 @@ def test_demo_leaves_numbers_report_and_bag(real_time, programs):
     assert summary["vehicle"] == "pc05"
     assert "vehicle: pc05\n" in program.stdout
     assert 0.0 < summary["rmse"]["filter"] <= 0.15
-    of_receiver = {"fix", "heading", "fix_velocity"}  # the PC05 has no receiver
-    assert summary["topics"].keys() == set(SENSOR_TOPICS) - of_receiver
+    absent = {"fix", "heading", "fix_velocity", "swing"}  # the PC05 has no receiver and no swing encoder
+    assert summary["topics"].keys() == set(SENSOR_TOPICS) - absent
     with AnyReader([folder / "bag"]) as reader:
         in_bag = {connection.topic: connection.msgcount for connection in reader.connections}
     for topic, counts in summary["topics"].items():
@@ -77,7 +78,7 @@ def test_machine_with_an_antenna_drives_by_gnss(real_time, programs):
     program = demo(programs, "--duration", "5", "--vehicle", "excavator_20t", "--no-live")
     assert program.wait() == 0, program.stdout + program.stderr
     summary = json.loads((programs.folder / "demo" / "summary.json").read_text(encoding="utf-8"))
-    assert summary["topics"].keys() == set(SENSOR_TOPICS) - {"scan"}
+    assert summary["topics"].keys() == set(SENSOR_TOPICS) - {"scan", "swing"}
     assert summary["vehicle"] == "excavator_20t"
     assert "vehicle: excavator_20t\n" in program.stdout
     assert summary["replay_matches"] is True

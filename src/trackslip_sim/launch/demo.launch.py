@@ -19,7 +19,7 @@ from trackslip_common.nodes.launching import (
     number_argument,
 )
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE
-from trackslip_sim.demo.graph import LIVE_NODE, DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import EXECUTABLES, LIVE_NODE, DemoOptions, demo_nodes
 
 _ARGUMENTS = {
     "duration": ("40.0", "seconds of driving"),
@@ -32,9 +32,7 @@ _ARGUMENTS = {
 
 def generate_launch_description() -> LaunchDescription:
     """Launch all nodes; the drive starts some seconds after power-on, the bag is in the working directory."""
-    return LaunchDescription(
-        [*declare_arguments(_executables(), **_ARGUMENTS), OpaqueFunction(function=_nodes)]
-    )
+    return LaunchDescription([*declare_arguments(EXECUTABLES, **_ARGUMENTS), OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
@@ -58,11 +56,3 @@ def _nodes(context: LaunchContext) -> list[Node]:
     emulator, *others = chosen
     emulator = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
     return make_nodes(context, [emulator, *others])
-
-
-def _executables() -> list[str]:
-    """Executables of all nodes that the demo can have."""
-    options = DemoOptions(
-        Path(), Path(), 0, 0.0, "", "", DEFAULT_VEHICLE, autostart=True, laser=True, gnss=True
-    )
-    return [node.executable for node in (*demo_nodes(options), LIVE_NODE)]

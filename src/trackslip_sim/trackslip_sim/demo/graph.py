@@ -8,17 +8,10 @@ from pathlib import Path
 from trackslip_common.config_files import node_defaults
 from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 
-SENSOR_TOPICS = (
-    "sprockets",
-    "hydraulics",
-    "imu/data_raw",
-    "imu/mag",
-    "scan",
-    "fix",
-    "heading",
-    "fix_velocity",
+EXECUTABLES = (  # of all nodes that a demo can have
+    *("emulator", "can_driver", "watson_imu", "sick_pls", "nmea_gnss", "box_localizer", "gnss_localizer"),
+    *("slip_estimator", "soil_estimator", "record", "live"),
 )
-
 _CAN = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2"}
 
 

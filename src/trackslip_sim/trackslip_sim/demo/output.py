@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from trackslip_common.errors import InputError
+from trackslip_sim.demo.graph import EXECUTABLES
 
 
 class Results(NamedTuple):
@@ -28,12 +29,7 @@ class Results(NamedTuple):
         return InputError(f"{self.option}{reason}; accepted: {accepted}")
 
 
-# Logs of all nodes of a demo, by name: a user's own files may end in .log, too.
-LOGS = (
-    *("emulator.log", "can_driver.log", "watson_imu.log", "sick_pls.log", "nmea_gnss.log"),
-    *("box_localizer.log", "gnss_localizer.log", "slip_estimator.log", "soil_estimator.log"),
-    *("record.log", "live.log"),
-)
+LOGS = tuple(f"{name}.log" for name in EXECUTABLES)  # by name: a user's own files may end in .log, too
 DEMO = Results("demo", ("bag", "dev", *LOGS, "summary.json", "report.html"), "--output: ")
 
 

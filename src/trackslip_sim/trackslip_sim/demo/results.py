@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trackslip_bags.reader import Bag
-from trackslip_sim.demo.graph import SENSOR_TOPICS
+from trackslip_common.topics import SENSOR_TOPICS
 
 POSITION_LIMIT = 0.15  # m, RMSE
 NEES_LIMIT = 8.0  # of the position: an error of 2 σ in both axes, σ as estimated

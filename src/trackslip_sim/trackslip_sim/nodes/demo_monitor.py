@@ -17,9 +17,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos
-from trackslip_common.topics import TOPICS, Flow
+from trackslip_common.topics import SENSOR_TOPICS
 from trackslip_estimation.slip.conversions import pose_fix
-from trackslip_sim.demo.graph import SENSOR_TOPICS
 from trackslip_sim.nodes.remote_lifecycle import RemoteLifecycle
 
 WATCHED_TOPICS = (*SENSOR_TOPICS, "box_pose", "gnss_pose", "odometry", "track_slip")
@@ -149,7 +148,7 @@ class DemoMonitor(Node):
     def _read_emulator_status(self, values: Iterable[tuple[str, str]]) -> None:
         for key, value in values:
             word, _, topic = key.partition(" ")
-            if word == "emitted" and topic in TOPICS and TOPICS[topic].flow is Flow.SENSOR:
+            if word == "emitted" and topic in SENSOR_TOPICS:
                 self.emitted[topic] = int(value)
             if key == "finished":
                 self.finished = value == "True"
