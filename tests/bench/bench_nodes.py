@@ -4,8 +4,6 @@
 
 import contextlib
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -18,8 +16,8 @@ import rclpy
 import bench_bare
 from bench_devices import SICK_BAUD, WATSON_BAUD
 from bench_ros import FLOOR, Listener
-from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
-from trackslip_sim.demo.processes import executable
+from trackslip_sim.demo.graph import DemoOptions, demo_nodes
+from trackslip_sim.demo.processes import Processes
 from trackslip_sim.demo.run import free_udp_port
 
 DRIVERS = {
@@ -31,7 +29,6 @@ WINDOW = 5.0  # s of each measurement
 REPEATS = 3
 _WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner changes its rate
 _GRAPH_TIMEOUT = 60.0  # s until the graph publishes odometry
-_STOP_TIMEOUT = 3.0  # s
 _CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
 
 
@@ -56,54 +53,19 @@ class Latency:
         return Latency(*np.percentile(ages_ms or [np.nan], (50, 99)).tolist())
 
 
-class Children:
-    """Processes by name, each with its output in a file."""
-
-    def __init__(self, directory: Path) -> None:
-        self._directory = directory
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
-
-    def start(self, name: str, arguments: list[str]) -> None:
-        """Run a program."""
-        with (self._directory / f"{name}.log").open("wb") as log:
-            self._running[name] = subprocess.Popen(
-                arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
-            )
-
-    def start_node(self, node: NodeSpec) -> None:
-        """Run an installed executable."""
-        pairs = (f"{key}:={value!r}" for key, value in node.parameters.items())
-        options = [part for pair in pairs for part in ("-p", pair)]
-        self.start(node.executable, [str(executable(node.package, node.executable)), "--ros-args", *options])
-
-    def cpu_s(self) -> dict[str, float]:
-        """CPU time of each process, s."""
-        return {
-            name: time.clock_gettime(~process.pid << 3 | _CPU_CLOCK)
-            for name, process in self._running.items()
-        }
-
-    def stop(self, names: tuple[str, ...] = ()) -> None:
-        """Interrupt these processes (or all), wait, and kill those that remain."""
-        chosen = [self._running.pop(name) for name in names or tuple(self._running)]
-        for process in chosen:
-            process.send_signal(signal.SIGINT)
-        for process in chosen:
-            try:
-                process.wait(_STOP_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
 @contextlib.contextmanager
-def children(directory: Path) -> Iterator[Children]:
-    """Processes that are stopped at the end."""
-    started = Children(directory)
+def children(directory: Path) -> Iterator[Processes]:
+    """Processes that are stopped at the end; their logs are in the directory."""
+    started = Processes(directory, os.environ)
     try:
         yield started
     finally:
         started.stop()
+
+
+def cpu_s(running: Processes) -> dict[str, float]:
+    """CPU time of each process, s."""
+    return {name: time.clock_gettime(~pid << 3 | _CPU_CLOCK) for name, pid in running.pids().items()}
 
 
 def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
@@ -118,19 +80,17 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
     real = {name: topics[0] for name, topics in DRIVERS.items()}
     floors = {f"floor_{name}": FLOOR + topic for name, topic in real.items()}
     topics = tuple(topic for topics in DRIVERS.values() for topic in topics)
-    with children(directory) as running, _listener(topics) as listener:
+    with _listener(topics) as listener, children(directory) as running:
         folder = Path(__file__).parent
-        running.start(
-            "devices", [sys.executable, str(folder / "bench_devices.py"), str(directory), str(port)]
-        )
+        running.run("devices", [sys.executable, str(folder / "bench_devices.py"), str(directory), str(port)])
         _wait_for(directory / "sick")
         for name, parameters in changes.items():
-            running.start_node(replace(nodes[name], parameters={**nodes[name].parameters, **parameters}))
+            running.start(replace(nodes[name], parameters={**nodes[name].parameters, **parameters}))
         listener.listen(_WARM_UP)
         loads = _measure(running, listener, real)
-    with children(directory) as running, _listener(tuple(FLOOR + topic for topic in topics)) as listener:
+    with _listener(tuple(FLOOR + topic for topic in topics)) as listener, children(directory) as running:
         for name in DRIVERS:
-            running.start(f"floor_{name}", [sys.executable, str(folder / "bench_ros.py"), name])
+            running.run(f"floor_{name}", [sys.executable, str(folder / "bench_ros.py"), name])
         listener.listen(3.0)
         loads |= _measure(running, listener, floors)
     return {name: (loads[name], loads[f"floor_{name}"]) for name in DRIVERS}
@@ -156,19 +116,19 @@ def graph(directory: Path, seconds: float) -> Graph:
     """
     options = _options(directory, free_udp_port(), seconds)
     ours, bare = "odometry", FLOOR + "odometry"
-    with children(directory) as running, _listener((), (ours, bare)) as listener:
+    with _listener((), (ours, bare)) as listener, children(directory) as running:
         for node in demo_nodes(options):
-            running.start_node(node)
+            running.start(node)
         script = str(Path(__file__).parent / "bench_ros.py")
-        running.start("floor", [sys.executable, script, "odometry"])
+        running.run("floor", [sys.executable, script, "odometry"])
         _receive(listener, ours)
-        before, began = running.cpu_s(), time.monotonic()
+        before, began = cpu_s(running), time.monotonic()
         listener.listen(seconds / 2)
-        after, elapsed = running.cpu_s(), time.monotonic() - began
+        after, elapsed = cpu_s(running), time.monotonic() - began
         endpoints = bench_bare.endpoints_of(listener.node)
         odometry, floor = (Latency.of(listener.ages_ms[topic]) for topic in (ours, bare))
         running.stop(("record", "slip_estimator"))
-        running.start("relay", [sys.executable, script, "relay"])
+        running.run("relay", [sys.executable, script, "relay"])
         listener.reset()
         _receive(listener, ours)
         listener.listen(seconds / 4)
@@ -181,13 +141,13 @@ def bare_loads(directory: Path, measured: Graph, seconds: float) -> dict[str, fl
     """CPU, % of a core, of bare nodes in place of all nodes of a graph (``bench_bare``)."""
     topics, script = directory / "topics.json", str(Path(__file__).parent / "bench_bare.py")
     bench_bare.write_topics(topics, measured.endpoints, measured.bag)
-    with children(directory) as running, _listener((), ("odometry",)) as listener:
+    with _listener((), ("odometry",)) as listener, children(directory) as running:
         for name in measured.loads.keys() & measured.endpoints.keys():
-            running.start(name, [sys.executable, script, str(topics), name])
+            running.run(name, [sys.executable, script, str(topics), name])
         _receive(listener, "odometry")
-        before, began = running.cpu_s(), time.monotonic()
+        before, began = cpu_s(running), time.monotonic()
         listener.listen(seconds)
-        after, elapsed = running.cpu_s(), time.monotonic() - began
+        after, elapsed = cpu_s(running), time.monotonic() - began
     return {name: 100.0 * (after[name] - before[name]) / elapsed for name in before}
 
 
@@ -199,14 +159,14 @@ def _receive(listener: Listener, topic: str) -> None:
     listener.reset()
 
 
-def _measure(running: Children, listener: Listener, topics: dict[str, str]) -> dict[str, Load]:
+def _measure(running: Processes, listener: Listener, topics: dict[str, str]) -> dict[str, Load]:
     """Medians over the windows: CPU of processes, and the rate of a topic of each."""
     windows = []
     for _ in range(REPEATS):
         listener.reset()
-        before, began = running.cpu_s(), time.monotonic()
+        before, began = cpu_s(running), time.monotonic()
         listener.listen(WINDOW)
-        after, elapsed = running.cpu_s(), time.monotonic() - began
+        after, elapsed = cpu_s(running), time.monotonic() - began
         windows.append(
             [
                 (100.0 * (after[n] - before[n]) / elapsed, listener.received[t] / elapsed)

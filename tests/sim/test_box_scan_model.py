@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from fixtures.box_site import standing
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.machine.scan_model import TIME_INCREMENT, SiteParameters, SiteScanner
 
@@ -87,17 +85,6 @@ def test_beyond_the_farthest_return_is_infinite(box):
     assert np.all(np.isposinf(scanner.scan(0.0, standing(-20.0, 0.0, 0.0))))
 
 
-def test_same_seed_same_scan(box):
-    noisy = site(range_stddev=0.03)
-    one, other = (SiteScanner(noisy, box, seed=7).scan(0.0, standing(6.0, 1.0, 0.3)) for _ in range(2))
-    assert np.array_equal(one, other)
-
-
 def test_incomplete_wall_is_refused_in_one_line():
     with pytest.raises(InputError, match=r"walls: 3 numbers; accepted: 4 for each"):
         site(walls=(1.0, 2.0, 3.0))
-
-
-def test_configured_site_is_valid():
-    tree = read_yaml(config_file("site.yaml"))["emulator"]["ros__parameters"]["site"]
-    assert from_flat(SiteParameters, flatten(tree), "site.yaml").range_max == 50.0

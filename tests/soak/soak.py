@@ -14,7 +14,6 @@ A drive of the emulated machine lasts an hour. Then the machine is switched off 
 import argparse
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -27,7 +26,7 @@ from soak_page import Sample, growths, page
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.output import LOGS, Results, claim
-from trackslip_sim.demo.processes import Processes, end_with_parent
+from trackslip_sim.demo.processes import Processes
 from trackslip_tools.cli.progress import iterate_with_bar
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -74,8 +73,8 @@ def _soak(duration_s: float, speed: float) -> int:
     print(f"soak: {duration_s:.0f} s at {speed:g} times real time; logs in {OUT}", flush=True)
     with _running(domain, _estimators()) as fast, _running(domain + 50, _devices(duration_s)) as slow:
         monitor = Monitor(domain)
-        player = _play(drive, speed, domain)
-        graph = Graph(fast, slow, player)
+        _play(drive, speed, fast)
+        graph = Graph(fast, slow)
         samples: list[Sample] = []
         try:
             for sample in iterate_with_bar(
@@ -87,8 +86,7 @@ def _soak(duration_s: float, speed: float) -> int:
             interrupted = True
         finally:
             ended = graph.exit_codes()
-            player.send_signal(signal.SIGINT)
-            player.wait()
+            fast.stop(["player"])
             monitor.close()
         lasted_s = samples[-1].time_s if samples else 0.0
         code = _conclude(samples, monitor, f"{lasted_s:.0f} s at {speed:g} times real time", ended)
@@ -98,46 +96,27 @@ def _soak(duration_s: float, speed: float) -> int:
 _TRACKSLIP = (sys.executable, "-m", "trackslip_tools.cli.main")
 
 
-def _play(drive: Path, speed: float, domain: int) -> "subprocess.Popen[bytes]":
-    """Start the player in a loop; this process forwards Ctrl-C to it."""
+def _play(drive: Path, speed: float, beside: Processes) -> None:
+    """Start the player in a loop."""
     player = ["replay", str(drive), "--publish", "--loop", "--rate", str(speed)]
     player += ["--remap", "box_pose:=recorded_box_pose"]  # the localizer publishes its own poses
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    with (OUT / "player.log").open("wb") as log:
-        return subprocess.Popen(
-            [*_TRACKSLIP, *player],
-            env=environment,
-            stdout=log,
-            stderr=log,
-            start_new_session=True,
-            preexec_fn=end_with_parent,
-        )
-
-
-class _Programs(Processes):
-    """Processes whose resources are sampled."""
-
-    def pids(self) -> dict[str, int]:
-        """Process ids by name."""
-        return {name: process.pid for name, process in self._running.items()}
+    beside.run("player", [*_TRACKSLIP, *player])
 
 
 class Graph:
     """All processes of a soak."""
 
-    def __init__(self, fast: _Programs, slow: _Programs, player: "subprocess.Popen[bytes]") -> None:
-        self._fast, self._slow, self._player = fast, slow, player
+    def __init__(self, fast: Processes, slow: Processes) -> None:
+        self._fast, self._slow = fast, slow
         self._restart_s = MAX_DRIVE_S
 
     def pids(self) -> dict[str, int]:
         """Process ids by name."""
-        return {**self._fast.pids(), **self._slow.pids(), "player": self._player.pid}
+        return {**self._fast.pids(), **self._slow.pids()}
 
     def exit_codes(self) -> dict[str, int]:
         """Exit codes of processes that ended too early."""
-        player_code = self._player.poll()
-        codes = {**self._fast.exit_codes(), **self._slow.exit_codes()}
-        return codes if player_code is None else {**codes, "player": player_code}
+        return {**self._fast.exit_codes(), **self._slow.exit_codes()}
 
     def keep_driving(self, elapsed_s: float, left_s: float) -> None:
         """Restart the emulated machine when its drive is over."""
@@ -197,9 +176,9 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
 
 
 @contextmanager
-def _running(domain: int, nodes: list[NodeSpec]) -> Iterator[_Programs]:
+def _running(domain: int, nodes: list[NodeSpec]) -> Iterator[Processes]:
     """Run nodes in a domain; ends them at the exit."""
-    processes = _Programs(OUT, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
+    processes = Processes(OUT, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
     try:
         for node in nodes:
             processes.start(node)

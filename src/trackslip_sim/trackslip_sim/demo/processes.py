@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -64,20 +64,28 @@ class Processes:
             InputError: its executable is not installed.
         """
         arguments = [str(executable(node.package, node.executable)), "--ros-args"]
-        if node.is_needed:
-            self._needed.add(node.executable)
         for name, value in node.parameters.items():
             arguments += ["-p", f"{name}:={yaml.safe_dump(value, default_flow_style=True).splitlines()[0]}"]
-        with (self._logs / f"{node.executable}.log").open("wb") as log, deferred_interrupts():
-            self._running[node.executable] = subprocess.Popen(
+        self.run(node.executable, arguments, is_needed=node.is_needed)
+
+    def run(self, name: str, arguments: Sequence[str], *, is_needed: bool = True) -> None:
+        """Run a program under a name."""
+        if is_needed:
+            self._needed.add(name)
+        with (self._logs / f"{name}.log").open("wb") as log, deferred_interrupts():
+            self._running[name] = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self._environment,
                 start_new_session=True,  # Ctrl-C reaches only the demo, which ends the others in order
-                preexec_fn=end_with_parent,
+                preexec_fn=_end_with_parent,
             )
+
+    def pids(self) -> dict[str, int]:
+        """Process ids by name."""
+        return {name: process.pid for name, process in self._running.items()}
 
     def log(self, name: str) -> str:
         """Content of a node's log."""
@@ -135,7 +143,7 @@ def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:
         os.killpg(process.pid, number)
 
 
-def end_with_parent() -> None:
+def _end_with_parent() -> None:
     """In the child: request SIGINT when the parent dies; handle Ctrl-C even if the shell disabled it."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
