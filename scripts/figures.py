@@ -39,7 +39,7 @@ from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.study.plots import COLOURS, DASHES, STYLE, label_axes, make_panels, save_figure
+from trackslip_sim.study.plots import BAND, COLOURS, DASHES, GREY, STYLE, label_axes, make_panels, save_figure
 from trackslip_sim.study.slip.figures import run_figures
 from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
@@ -52,33 +52,26 @@ OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 FAST_TURN = 1.37  # rad/s, one track braked
 NORMAL_MU_L = (0.5, 1.3)
+MU_L = np.linspace(0.1, 1.5, 281)
 DEMO_SCENARIO, DEMO_SOIL, DEMO_DURATION = "thesis", "sand", 40.0  # s; defaults of make demo
 
 
 def figure_3_7(vehicle: Vehicle) -> Figure:
     """Error of the moment of turning resistance without centrifugal force, (3.8), relative to (3.7)."""
-    mu = np.linspace(0.1, 1.5, 281)
-    full = moment_with_centrifugal_force(vehicle.weight, vehicle.contact_length, mu, lateral(vehicle))
-    simple = triangular_moment(vehicle.weight, vehicle.contact_length, mu)
-    return error_over_mu_l(
-        mu,
-        100.0 * (full - simple) / full,
-        "% of (3.7)",
-        "Fig. 3.7: moment of turning resistance, (3.8) against (3.7)",
-    )
+    weight, length = vehicle.weight, vehicle.contact_length
+    full = moment_with_centrifugal_force(weight, length, MU_L, lateral(vehicle))
+    title = "Fig. 3.7: moment of turning resistance, (3.8) against (3.7)"
+    return error_over_mu_l(full, triangular_moment(weight, length, MU_L), "(3.7)", title)
 
 
 def figure_3_8(vehicle: Vehicle) -> Figure:
     """Error of the instantaneous centre to first order, relative to (3.6)."""
-    mu = np.linspace(0.1, 1.5, 281)
-    full = centre_point(vehicle.contact_length, mu, lateral(vehicle))
-    simple = centre_point_approximate(vehicle.contact_length, mu, lateral(vehicle))
-    return error_over_mu_l(
-        mu,
-        100.0 * (full - simple) / full,
-        "% of (3.6)",
-        "Fig. 3.8: instantaneous centre $x_s$, first order against (3.6)",
+    full, first_order = (
+        formula(vehicle.contact_length, MU_L, lateral(vehicle))
+        for formula in (centre_point, centre_point_approximate)
     )
+    title = "Fig. 3.8: instantaneous centre $x_s$, first order against (3.6)"
+    return error_over_mu_l(full, first_order, "(3.6)", title)
 
 
 def lateral(vehicle: Vehicle) -> float:
@@ -86,13 +79,13 @@ def lateral(vehicle: Vehicle) -> float:
     return FAST_TURN**2 * vehicle.tread / 2.0
 
 
-def error_over_mu_l(mu: FloatArray, error: FloatArray, unit: str, title: str) -> Figure:
-    """A figure with one error curve and the range of normal soils."""
+def error_over_mu_l(full: FloatArray, simple: FloatArray, equation: str, title: str) -> Figure:
+    """A figure of the error of a simpler formula over ``MU_L``, and the range of normal soils."""
     figure, (axes,) = make_panels(1)
-    axes.axvspan(*NORMAL_MU_L, color="#f0ede4", zorder=0)
+    axes.axvspan(*NORMAL_MU_L, color=BAND, zorder=0)
     axes.text(sum(NORMAL_MU_L) / 2.0, 0.06, "normal soils", transform=axes.get_xaxis_transform(), ha="center")
-    axes.plot(mu, error, color=COLOURS[2])
-    label_axes(axes, title, "coefficient of lateral resistance $\\mu_l$", f"error ({unit})")
+    axes.plot(MU_L, 100.0 * (full - simple) / full, color=COLOURS[2])
+    label_axes(axes, title, "coefficient of lateral resistance $\\mu_l$", f"error (% of {equation})")
     axes.set_xlim(0.0, 1.5)
     return figure
 
@@ -113,8 +106,8 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
     label_axes(in_slip, "Fig. 3.9: slip, (3.3) against (3.12)", "slip (%)", "error of slip (% of (3.12))")
     label_axes(in_thrust, "The same for thrust at given slip", "slip (%)", "error of thrust (% of (3.3))")
     for axes in (in_slip, in_thrust):
-        axes.axvline(4.0, color="#777777", linewidth=0.6)
-        axes.axhspan(-10.0, 10.0, color="#f0ede4", zorder=0)
+        axes.axvline(4.0, color=GREY, linewidth=0.6)
+        axes.axhspan(-10.0, 10.0, color=BAND, zorder=0)
         axes.set(xscale="log", xlim=(0.1, 100.0), ylim=(-80.0, 20.0))
         axes.xaxis.set_major_formatter("{x:g}")
     in_slip.text(4.4, -75.0, "4 %")
@@ -124,20 +117,17 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
 
 def thrust_slip_curves(vehicle: Vehicle) -> Figure:
     """(3.3) for one PC05 track on all soils with K; dots: straight driving on level ground."""
-    figure, (table_6, table_2) = make_panels(2)
+    figure, panels = make_panels(2)
     slip = np.linspace(-0.2, 0.6, 1601)
     soils = [soil for soil in load_soils().values() if soil.shear_modulus is not None]
-    for axes, chosen in (
-        (table_6, [soil for soil in soils if soil.name in TABLE_6_1]),
-        (table_2, [soil for soil in soils if soil.name not in TABLE_6_1]),
-    ):
+    for axes, table in zip(panels, ("6.1", "2.1"), strict=True):
+        chosen = [soil for soil in soils if (soil.name in TABLE_6_1) == (table == "6.1")]
         for soil, colour, dash in zip(chosen, COLOURS, DASHES, strict=False):
             draw_thrust(axes, vehicle, soil, slip, (colour, dash))
-        axes.axvline(0.0, color="#777777", linewidth=0.6)
+        axes.axvline(0.0, color=GREY, linewidth=0.6)
         axes.legend(loc="lower right")
         axes.set_xlim(-20.0, 60.0)
-    label_axes(table_6, "Thrust of one PC05 track, Table 6.1", "slip (%)", "thrust (kN)")
-    label_axes(table_2, "Thrust of one PC05 track, Table 2.1", "slip (%)", "thrust (kN)")
+        label_axes(axes, f"Thrust of one PC05 track, Table {table}", "slip (%)", "thrust (kN)")
     return figure
 
 
@@ -176,10 +166,9 @@ def figure_6_2(vehicle: Vehicle) -> Figure:
     for run, line in thesis_runs(vehicle):
         left.plot(run.t, 100.0 * run.left_slip, **line)
         right.plot(run.t, 100.0 * run.right_slip, **line)
-    label_axes(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
-    label_axes(right, "Slip of the right track", "time (s)", "slip (%)")
-    for axes in (left, right):  # the thesis' range; cuts a peak under 0.15 s at the start on clayey soil
-        axes.set_ylim(-0.5, 8.0)
+    for axes, title in ((left, "Fig. 6.2: slip of the left track"), (right, "Slip of the right track")):
+        label_axes(axes, title, "time (s)", "slip (%)")
+        axes.set_ylim(-0.5, 8.0)  # the thesis' range; cuts a peak under 0.15 s at the start on clayey soil
     right.legend(loc="upper center")
     return figure
 
