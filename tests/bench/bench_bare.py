@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The floor of the live graph: bare rclpy nodes with the subscriptions and publications of the real ones.
+"""The floor of loads: bare rclpy nodes with the subscriptions and publications of the real ones.
 
 ``bench_bare.py TOPICS NAME`` runs one of them. ``TOPICS`` is a JSON file. It has the topics that each node of
 the real graph subscribed to and published, and the rate and one message of each topic. A node publishes some
@@ -11,7 +11,6 @@ import json
 import signal
 import sys
 import threading
-import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +21,7 @@ from rclpy.qos import ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from bench_ros import repeat
 from trackslip_bags.reader import open_bag
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import best_effort_qos, publisher_qos, reliable_qos
@@ -50,20 +50,21 @@ def endpoints_of(node: Any) -> dict[str, Endpoints]:
     return dict(endpoints)
 
 
-def write_topics(path: Path, nodes: dict[str, Endpoints], bag_path: Path) -> None:
-    """Write the JSON file, with messages and rates of a bag."""
-    messages: dict[str, str] = {}
+def recorded_topics(path: Path) -> dict[str, tuple[bytes, float]]:
+    """Topic → last message, and rate, Hz, of a bag."""
+    messages: dict[str, bytes] = {}
     counts: Counter[str] = Counter()
-    with open_bag(bag_path) as bag:
-        seconds = bag.duration_s
+    with open_bag(path) as bag:
         for m in bag.messages():
             counts[m.topic] += 1
-            messages[m.topic] = bytes(m.raw).hex()
-    topics = {
-        topic.removeprefix("/"): {"message": raw, "rate": counts[topic] / seconds}
-        for topic, raw in messages.items()
-    }
-    path.write_text(json.dumps({"nodes": nodes, "topics": topics}), encoding="utf-8")
+            messages[m.topic] = bytes(m.raw)
+    return {name.removeprefix("/"): (raw, counts[name] / bag.duration_s) for name, raw in messages.items()}
+
+
+def write_topics(path: Path, nodes: dict[str, Endpoints], topics: dict[str, tuple[bytes, float]]) -> None:
+    """Write the JSON file; ``topics``: message and rate, Hz, of each topic."""
+    entries = {topic: {"message": raw.hex(), "rate": rate} for topic, (raw, rate) in topics.items()}
+    path.write_text(json.dumps({"nodes": nodes, "topics": entries}), encoding="utf-8")
 
 
 def run(path: Path, name: str) -> None:
@@ -83,7 +84,7 @@ def run(path: Path, name: str) -> None:
     for topic, publish in outputs.items():
         if topic not in _TRIGGERS:
             period = 1.0 / topics[topic]["rate"]
-            threading.Thread(target=_repeat, args=(publish, period), daemon=True).start()
+            threading.Thread(target=repeat, args=(publish, period), daemon=True).start()
     executor = Executor()
     executor.add_node(node)
     while not ended:
@@ -102,14 +103,6 @@ def _call_all(functions: list[Callable[[], None]]) -> Callable[[bytes], None]:
             function()
 
     return call
-
-
-def _repeat(publish: Callable[[], None], period: float) -> None:
-    due_s = time.monotonic()
-    while True:
-        publish()
-        due_s += period
-        time.sleep(max(due_s - time.monotonic(), 0.0))
 
 
 if __name__ == "__main__":

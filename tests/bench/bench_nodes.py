@@ -78,7 +78,6 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
         "sick_pls": {"serial_baud": SICK_BAUD},
     }
     real = {name: topics[0] for name, topics in DRIVERS.items()}
-    floors = {f"floor_{name}": FLOOR + topic for name, topic in real.items()}
     topics = tuple(topic for topics in DRIVERS.values() for topic in topics)
     with _listener(topics) as listener, children(directory) as running:
         folder = Path(__file__).parent
@@ -88,12 +87,22 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
             running.start(replace(nodes[name], parameters={**nodes[name].parameters, **parameters}))
         listener.listen(_WARM_UP)
         loads = _measure(running, listener, real)
-    with _listener(tuple(FLOOR + topic for topic in topics)) as listener, children(directory) as running:
+        messages = listener.last
+    path = directory / "topics.json"
+    outputs = {name: {"subscribes": {}, "publishes": dict.fromkeys(DRIVERS[name], True)} for name in DRIVERS}
+    sent = {
+        topic: (messages[topic], loads[name].rate)
+        for name, topics in DRIVERS.items()
+        for topic in topics
+        if loads[name].rate > 0.0
+    }
+    bench_bare.write_topics(path, outputs, sent)
+    with _listener(topics) as listener, children(directory) as running:
         for name in DRIVERS:
-            running.run(f"floor_{name}", [sys.executable, str(folder / "bench_ros.py"), name])
+            running.run(name, [sys.executable, str(folder / "bench_bare.py"), str(path), name])
         listener.listen(3.0)
-        loads |= _measure(running, listener, floors)
-    return {name: (loads[name], loads[f"floor_{name}"]) for name in DRIVERS}
+        floors = _measure(running, listener, real)
+    return {name: (loads[name], floors[name]) for name in DRIVERS}
 
 
 @dataclass(frozen=True)
@@ -140,7 +149,7 @@ def graph(directory: Path, seconds: float) -> Graph:
 def bare_loads(directory: Path, measured: Graph, seconds: float) -> dict[str, float]:
     """CPU, % of a core, of bare nodes in place of all nodes of a graph (``bench_bare``)."""
     topics, script = directory / "topics.json", str(Path(__file__).parent / "bench_bare.py")
-    bench_bare.write_topics(topics, measured.endpoints, measured.bag)
+    bench_bare.write_topics(topics, measured.endpoints, bench_bare.recorded_topics(measured.bag))
     with _listener((), ("odometry",)) as listener, children(directory) as running:
         for name in measured.loads.keys() & measured.endpoints.keys():
             running.run(name, [sys.executable, script, str(topics), name])

@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS side of the benchmark: a listener, and bare nodes as the floor of the measurements.
+"""The ROS side of the benchmark: a listener, and bare nodes as the floor of the latencies.
 
-``bench_ros.py NAME`` is a bare rclpy node that publishes the topics of the driver NAME at the same rates,
-with constant messages. ``odometry`` publishes stamped odometry at 101 Hz: within a second it covers every
-phase of the graph's cycle, busy and idle. ``relay`` replaces the slip estimator: it publishes constant
-odometry with the stamp of each sprocket sample.
+``bench_ros.py odometry`` is a bare rclpy node that publishes stamped odometry at 101 Hz: within a second it
+covers every phase of the graph's cycle, busy and idle. ``relay`` replaces the slip estimator: it publishes
+constant odometry with the stamp of each sprocket sample.
 """
 
 import sys
@@ -15,33 +14,31 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.nodes.run import Executor
-from trackslip_drivers import conversions
-from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
 
-RATES = {"can_driver": 100.0, "watson_imu": 71.11, "sick_pls": 25.0, "odometry": 101.0}
-FLOOR = "floor/"  # prefix of its topics
+FLOOR, FLOOR_RATE = "floor/", 101.0  # prefix of its topic; Hz
 
 
 class Listener:
-    """Counts messages on topics; on odometry topics it stores the age of each message."""
+    """Counts messages on topics and keeps the last; on odometry topics it stores the age of each message."""
 
     def __init__(self, topics: tuple[str, ...], odometry: tuple[str, ...] = ()) -> None:
         self.received: Counter[str] = Counter()
+        self.last: dict[str, bytes] = {}  # message of each topic, serialized
         self.ages_ms: dict[str, list[float]] = {topic: [] for topic in odometry}
         self.node = rclpy.create_node("bench")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         for topic in topics:
-            name = topic.removeprefix(FLOOR)
             callback = self._count_callback(topic)
-            self.node.create_subscription(topic_class(name), topic, callback, subscriber_qos(name), raw=True)
+            self.node.create_subscription(
+                topic_class(topic), topic, callback, subscriber_qos(topic), raw=True
+            )
         for topic in odometry:
             callback = self._age_callback(self.ages_ms[topic])
             self.node.create_subscription(
@@ -66,8 +63,9 @@ class Listener:
         self.node.destroy_node()
 
     def _count_callback(self, topic: str) -> Callable[[bytes], None]:
-        def count(_: bytes) -> None:
+        def count(message: bytes) -> None:
             self.received[topic] += 1
+            self.last[topic] = message
 
         return count
 
@@ -79,55 +77,27 @@ class Listener:
         return store
 
 
-def messages_of(name: str) -> dict[str, Any]:
-    """Topic → message of a driver, as large as the real one."""
-    if name == "can_driver":
-        sprockets, hydraulics = (
-            SprocketSample(0, 1.0, 1.0, 1.0, 1.0),
-            HydraulicsSample(0, 1.0, 1.0, 1.0, 1.0, 1.0),
-        )
-        return {
-            "sprockets": conversions.fill_joint_state(
-                conversions.blank_joint_state(make, "base_link"), sprockets
-            ),
-            "hydraulics": conversions.fill_track_hydraulics(
-                conversions.blank_track_hydraulics(make, "base_link"), hydraulics
-            ),
-        }
-    if name == "watson_imu":
-        sample = ImuSample(0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), over_range=False)
-        return {
-            "imu/data_raw": conversions.fill_imu(conversions.blank_imu(make, "imu_link", 0.1, 0.1), sample),
-            "imu/mag": conversions.fill_magnetic_field(
-                conversions.blank_magnetic_field(make, "imu_link", 0.1), sample
-            ),
-        }
-    if name == "sick_pls":
-        scan = ScanSample(0, -1.57, 0.0087, 0.0, 0.04, 0.0, 50.0, np.linspace(2.0, 40.0, 361))
-        return {"scan": conversions.laser_scan(make, scan, "laser")}
-    return {"odometry": make("nav_msgs/msg/Odometry")}
+def repeat(publish: Callable[[], None], period: float) -> None:
+    """Call ``publish`` each ``period``, s."""
+    due_s = time.monotonic()
+    while True:
+        publish()
+        due_s += period
+        time.sleep(max(due_s - time.monotonic(), 0.0))
 
 
-def floor(name: str) -> None:
-    """Publish until interrupted."""
+def floor() -> None:
+    """Publish stamped odometry until interrupted."""
     rclpy.init()
-    node = rclpy.create_node(f"floor_{name}")
-    outputs = [
-        (node.create_publisher(type(message), FLOOR + topic, publisher_qos(topic)), message)
-        for topic, message in messages_of(name).items()
-    ]
+    node = rclpy.create_node("floor_odometry")
+    message = make("nav_msgs/msg/Odometry")
+    publisher = node.create_publisher(type(message), FLOOR + "odometry", publisher_qos("odometry"))
 
     def publish() -> None:
-        due_s = time.monotonic()
-        while True:
-            for publisher, message in outputs:
-                if name == "odometry":
-                    message.header.stamp = node.get_clock().now().to_msg()
-                publisher.publish(message)
-            due_s += 1.0 / RATES[name]
-            time.sleep(max(due_s - time.monotonic(), 0.0))
+        message.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(message)
 
-    threading.Thread(target=publish, daemon=True).start()
+    threading.Thread(target=repeat, args=(publish, 1.0 / FLOOR_RATE), daemon=True).start()
     rclpy.spin(node)
 
 
@@ -151,6 +121,6 @@ def relay() -> None:
 
 if __name__ == "__main__":
     try:
-        relay() if sys.argv[1] == "relay" else floor(sys.argv[1])
+        relay() if sys.argv[1] == "relay" else floor()
     except KeyboardInterrupt:
         sys.exit(130)
