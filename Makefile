@@ -87,7 +87,7 @@ fuzz: checks ## random measurements and messages for the estimators, hostile fil
 	@$(ENTER) $(VENV)/python tests/fuzz/random_steps.py
 	@$(ENTER) $(VENV)/python tests/fuzz/fuzz_messages.py
 	@$(ENTER) env PYTHONPATH="tests:$$PYTHONPATH" $(VENV)/python tests/fuzz/hostile_files.py $(if $(FILES),--files '$(FILES)')
-	@$(ENTER) $(VENV)/python tests/fuzz/hostile_recordings.py $(if $(BAGS),--bags '$(BAGS)')
+	@$(ENTER) env PYTHONPATH="tests:$$PYTHONPATH" $(VENV)/python tests/fuzz/hostile_recordings.py $(if $(BAGS),--bags '$(BAGS)')
 	@$(ENTER) RUNS='$(RUNS)' exec $(VENV)/python -m pytest -n auto --timeout=0 tests/fuzz --hypothesis-profile=fuzz
 
 bags: setup ## record the runs of bags/ again, with their manifest (ARGS=--numbers: only what replays of them give)
