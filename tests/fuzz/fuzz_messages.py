@@ -19,8 +19,9 @@ import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from trackslip_common.arrays import FloatArray
+from trackslip_common.layout import Layout
 from trackslip_common.make import header
-from trackslip_common.nodes.messages import make, message_class, packed_topic
+from trackslip_common.nodes.messages import fields_of, make, message_class, packed_topic
 from trackslip_common.packed import PackedMessage
 from trackslip_common.topics import LEFT_SPROCKET, MACHINE_STATE, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_estimation.nodes.estimator_health import estimator_health
@@ -46,7 +47,6 @@ from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 COUNT = 100_000  # messages per topic
-_SENTINEL = 0.1234567890123
 _PERIOD_NS = 10_000_000  # between two valid samples
 _CHECK_PERIODS = 1000  # between two checks of the health
 _VALUES = np.array(
@@ -84,18 +84,17 @@ class Mutator:
     """Messages of a topic with arbitrary numbers."""
 
     def __init__(self, topic: Topic, rng: np.random.Generator) -> None:
-        fields = {
-            "header": header(make, 0, "base_link"),
-            **({"name": list(topic.names)} if topic.names else {}),
-        }
+        joints = dict.fromkeys(("position", "velocity", "effort"), [0.0] * len(topic.names))
+        fields = {"name": list(topic.names), **joints} if topic.names else {}
         self._kind = message_class(topic.type_name)
-        marked, plain = make(topic.type_name, **fields), make(topic.type_name, **fields)
-        _fill(marked, len(topic.names), lambda _, n: np.full(n, _SENTINEL))
-        _fill(plain, len(topic.names), _plain)
-        self._raw, sentinel = bytes(serialize_message(marked)), struct.pack("<d", _SENTINEL)
-        self._places = [at for at in range(len(self._raw)) if self._raw.startswith(sentinel, at)]
-        raw = bytes(serialize_message(plain))
-        self._plain = [struct.unpack_from("<d", raw, at)[0] for at in self._places]
+        blank = make(topic.type_name, header=header(make, 0, "base_link"), **fields)
+        self._raw = bytes(serialize_message(blank))
+        self._places, self._plain = list[int](), list[float]()  # of all float64
+        for name, (field, offset, *_) in Layout(fields_of, topic.type_name, self._raw).dtype.fields.items():
+            if field.base == np.float64:
+                values = _plain(name, field.itemsize // 8).tolist()
+                self._plain += values
+                self._places += [offset + 8 * k for k in range(len(values))]
         self._topic, self._rng, self._packed = topic, rng, packed_topic(self._kind)
 
     def mutate(self, stamp_ns: int) -> Any:
@@ -122,25 +121,11 @@ class Mutator:
         return values
 
 
-def _fill(message: Any, joints: int, values: Callable[[str, int], FloatArray]) -> None:
-    """Set the numbers of each field ``name`` of a message to ``values(name, n)``."""
-    for name, text in message.get_fields_and_field_types().items():
-        value = getattr(message, name)
-        if text == "double":
-            setattr(message, name, float(values(name, 1)[0]))
-        elif text.startswith("double["):
-            setattr(message, name, values(name, len(value)))
-        elif text == "sequence<double>":
-            setattr(message, name, values(name, joints).tolist())
-        elif hasattr(value, "get_fields_and_field_types"):
-            _fill(value, joints, values)
-
-
 def _plain(name: str, n: int) -> FloatArray:
     """(n,) numbers as of sensors: a rotation of 20°, a diagonal covariance, 0.1 elsewhere."""
     if name.endswith("covariance"):
         return np.eye(math.isqrt(n)).ravel() * 0.1
-    return np.full(n, math.sqrt(0.97) if name == "w" else 0.1)
+    return np.full(n, math.sqrt(0.97) if name.endswith(".w") else 0.1)
 
 
 def _numbers(rng: np.random.Generator, n: int) -> list[float]:

@@ -95,7 +95,7 @@ def test_patches_alone_need_no_soil() -> None:
         ({"segments": 3}, r"segments = 3 is refused; accepted: a list"),
         ({"segments": [4]}, r"segments\[0\]: entry: 4 is not accepted; accepted: names and values"),
         ({"segments": [{**SEGMENT, "duration": -2}]}, r"segments\[0\]: .*duration = -2.0 .*accepted: > 0 s"),
-        ({"segments": [SEGMENT, {"duration": 1, "left": 1}]}, r"segments\[1\]: .*key 'right' is missing; acc"),
+        ({"segments": [SEGMENT, {"duration": 1, "left": 1}]}, r"segments\[1\]: .*key 'right' is missing"),
         ({"segments": [{**SEGMENT, "left": float("nan")}]}, r"segment: left: nan is not accepted; accepted:"),
         ({"segments": [{**SEGMENT, "load": -1}]}, r"segment: load = -1.0 is refused; accepted: >= 0 kg"),
         ({"segments": [{**SEGMENT, "speed": 1}]}, r"unknown key 'speed'; accepted: duration, left, right"),

@@ -3,10 +3,10 @@
 """The study: the filters' inputs, the bound, and the detection of inconsistent filters."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.records import assert_same_bits
 from fixtures.study_bench import Bench, assert_same_bound, expected_bound, make_bench
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -113,22 +113,13 @@ def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
     assert len(biases) == 20
 
 
-def assert_same(rows: Any, others: Any) -> None:
-    """Assert equality field by field, with nan equal to nan (not measured)."""
-    if rows.dtype.names is None:
-        np.testing.assert_array_equal(rows, others)
-        return
-    for name in rows.dtype.names:
-        assert_same(rows[name], others[name])
-
-
 @pytest.mark.parametrize("truth", [SHEAR, pytest.param(MATCHED, marks=pytest.mark.slow)])
 def test_filters_are_compared_on_the_same_draws(truth: str, bench: Bench) -> None:
     ekf, daf, again = (bench.trial(cell(truth, name), seed=1) for name in ("ekf", "daf", "ekf"))
     other = bench.trial(cell(truth, soil="dry_clay"), seed=1)
     for of_ekf, of_daf, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
-        assert_same(of_ekf, of_daf)
-        assert_same(of_ekf, repeated)
+        assert_same_bits(of_ekf, of_daf)
+        assert_same_bits(of_ekf, repeated)
     assert not np.array_equal(ekf.rows.measurements["value"], other.rows.measurements["value"])
 
 
