@@ -13,22 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_common.config_files import load_parameters, node_defaults
-from trackslip_common.parameters import from_flat
+from trackslip_common.config_files import node_defaults
 from trackslip_common.units import GRAVITY
-from trackslip_drivers import can_parameters
-from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import load_frames
-from trackslip_drivers.protocols.watson import BINARY, BITS_PER_CHAR, COMMAND_MODE, Layout
+from trackslip_drivers.protocols.watson import BINARY, BITS_PER_CHAR, COMMAND_MODE
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
-from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.transports.can_bus import CanBus
-from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.can_device import CanDevice
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.pty_port import PtyPort
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 from trackslip_sim.devices.watson_device import WatsonDevice
+from trackslip_sim.machine.driver_settings import default_drivers
 
 WATSON_BAUD = 19_200  # the lowest rate that carries nine channels 71 times a second
 SICK_BAUD = 500_000
@@ -52,18 +47,15 @@ def imu(stamp_ns: int) -> ImuSample:
 def main(directory: Path, can_port: int) -> None:
     """Run the devices."""
     now_ns = time.time_ns()
-    can = load_parameters(CanDriverParameters, can_parameters.NODE, can_parameters.DEFAULT_FILES)
-    machine = CanDevice(load_frames(can), sprockets, hydraulics, now_ns)
+    drivers = default_drivers()
+    machine = CanDevice(drivers.frames, sprockets, hydraulics, now_ns)
     line = node_defaults("emulator", "emulator.yaml")
     bus = CanBus(line["can_interface"], line["can_channel"], {"port": can_port})
-    p = from_flat(WatsonParameters, node_defaults("watson_imu", "watson_imu.yaml"), "watson_imu")
-    layout = Layout(p.channels, p.formats, p.full_scales)
-    watson = WatsonDevice(layout, BaudLine(WATSON_BAUD, BITS_PER_CHAR), imu, True, now_ns)
+    watson = WatsonDevice(drivers.layout, BaudLine(WATSON_BAUD, BITS_PER_CHAR), imu, True, now_ns)
     watson.receive(COMMAND_MODE + BINARY, now_ns)
-    scanner = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
     ranges = np.random.default_rng(1).uniform(2.0, 40.0, 361)
     boot = SickDeviceParameters(boot_delay=0.0, power_on_baud=9600)
-    sick = SickDevice(scanner, boot, lambda _: ranges, now_ns)
+    sick = SickDevice(drivers.sick, boot, lambda _: ranges, now_ns)
     watson_port, sick_port = PtyPort(directory / "watson"), PtyPort(directory / "sick")
     while True:
         now_ns = time.time_ns()

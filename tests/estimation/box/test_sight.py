@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.box import parameters as box
 from trackslip_estimation.box.parameters import BoxNodeParameters
-from trackslip_sim.machine.excavator import default_parameters
+from trackslip_sim.machine.driver_settings import default_parameters
 from trackslip_sim.machine.scan_model import SiteParameters, SiteScanner
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names

@@ -4,26 +4,18 @@
 
 import math
 from collections.abc import Callable
-from typing import TypeVar
 
 from trackslip_common.arrays import FloatArray
-from trackslip_common.config_files import load_parameters
-from trackslip_common.parameters import Parameters
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import UNDERCARRIAGE, UPPER, VehicleParameters
-from trackslip_drivers import can_parameters
-from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
-from trackslip_drivers.protocols.watson import BITS_PER_CHAR, TESLA_PER_MILLIGAUSS, Layout
+from trackslip_drivers.protocols.watson import BITS_PER_CHAR, TESLA_PER_MILLIGAUSS
 from trackslip_drivers.records import ImuSample
-from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, CanDevice
 from trackslip_sim.devices.line import NEVER_NS, BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.devices.sick_device import SickDevice
 from trackslip_sim.devices.watson_device import WatsonDevice
+from trackslip_sim.machine.driver_settings import DriverSettings, default_drivers
 from trackslip_sim.machine.faults import CAN, GNSS, POWER_CYCLE, SICK, UNPLUG, WATSON, WRONG_BAUD, Faults
 from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
 from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
@@ -34,8 +26,6 @@ from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.simulate import simulate
-
-T = TypeVar("T", bound=Parameters)
 
 
 class InertialUnit:
@@ -70,8 +60,8 @@ def simulate_drive(p: EmulatorParameters) -> Truth:
 class EmulatedExcavator:
     """The devices, powered from ``start_ns``; they measure ``truth`` from ``drive_start_ns`` on.
 
-    Each device has the settings of its driver's defaults in ``config/`` and the failures in ``faults``. A
-    machine with another inertial unit than a Watson has both; ``offline`` reads ``inertial``, without a port.
+    Each device has the settings of its driver, ``drivers``, and the failures in ``faults``. A machine
+    with another inertial unit than a Watson has both; ``offline`` reads ``inertial``, without a port.
     """
 
     def __init__(self, p: EmulatorParameters, truth: Truth | TruthWindow, start_ns: int) -> None:
@@ -84,23 +74,19 @@ class EmulatedExcavator:
         self._placement_of = {UNDERCARRIAGE: self.sensors.placement, UPPER: self.sensors.upper_placement}
         self._vehicle = p.vehicle
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
-        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
-        watson = default_parameters(WatsonParameters, "watson_imu")
-        sick = default_parameters(SickParameters, "sick_pls")
-        frames = load_frames(can)
-        layout = Layout(watson.channels, watson.formats, watson.full_scales)
+        self.drivers = drivers = default_drivers()
         self._scanner = SiteScanner(p.site, p.vehicle.box, p.seed)
         self._readings = readings = FaultyReadings(
-            self.faults, self.sensors, self._scan, _full_scales(frames, layout, sick), p.seed
+            self.faults, self.sensors, self._scan, _full_scales(drivers), p.seed
         )
         boot_ns = round(p.can_delay * 1e9)
         measures = (readings.sprockets, readings.hydraulics)
-        self.can = CanDevice(frames, *measures, start_ns + boot_ns)
-        self._watson_line = BaudLine(watson.serial_baud, BITS_PER_CHAR)
-        self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
+        self.can = CanDevice(drivers.frames, *measures, start_ns + boot_ns)
+        self._watson_line = BaudLine(drivers.watson.serial_baud, BITS_PER_CHAR)
+        self.watson = WatsonDevice(drivers.layout, self._watson_line, readings.imu, True, start_ns)
         self.inertial = _inertial_unit(p.vehicle, readings.imu, start_ns)
-        self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
-        self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
+        self.sick = SickDevice(drivers.sick, p.sick_start, readings.ranges, start_ns)
+        self._gnss_line = BaudLine(drivers.nmea.serial_baud, BITS_PER_CHAR)
         placement = self._placement_of[p.vehicle.mount_of("antenna")]
         antenna = GnssModel(p.mounted_gnss(), placement, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
@@ -217,19 +203,14 @@ def _inertial_unit(
     return None if imu is None else InertialUnit(imu.rate, measure, start_ns)
 
 
-def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> FullScales:
+def _full_scales(drivers: DriverSettings) -> FullScales:
     """Full scales from the CAN frames, the inertial unit's layout and the scanner's range."""
-    pressure = frames.by_name[PRESSURES].get_signal_by_name("supply_pressure").maximum
-    inertial = {channel.name: channel.full_scale for channel in layout.channels}
+    pressure = drivers.frames.by_name[PRESSURES].get_signal_by_name("supply_pressure").maximum
+    inertial = {channel.name: channel.full_scale for channel in drivers.layout.channels}
     return FullScales(
         pressure=float(pressure or 0.0),
         acceleration=inertial["XA"] * GRAVITY,
         rate=math.radians(inertial["XR"]),
         field=inertial.get("XM", 0.0) * TESLA_PER_MILLIGAUSS,
-        range=sick.range_max,
+        range=drivers.sick.range_max,
     )
-
-
-def default_parameters(cls: type[T], node: str, *files: str) -> T:
-    """Default parameters of a node from ``files`` in ``config/``, by default ``<node>.yaml``."""
-    return load_parameters(cls, node, files or (f"{node}.yaml",))

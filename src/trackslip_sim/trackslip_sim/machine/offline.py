@@ -20,19 +20,12 @@ from trackslip_common.tally import Tally
 from trackslip_common.units import NS_PER_S
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
-from trackslip_drivers import can_parameters
 from trackslip_drivers import conversions as of_sensors
-from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.protocols.can_frames import load_frames
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, VELOCITY, NmeaStream, Sample
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
-from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.records import FixSample, ImuSample, ScanSample, SprocketSample, VelocitySample
-from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxNodeParameters
@@ -45,8 +38,9 @@ from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.devices.line import NEVER_NS
 from trackslip_sim.machine.bag_messages import Recording, Serialize, column_serializer, sensor_serializers
+from trackslip_sim.machine.driver_settings import default_parameters
 from trackslip_sim.machine.emulation import DRAIN_NS, SITE_FRAME, SOIL_NS, SWING_NS, TICK_NS, TRUTH_NS
-from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
+from trackslip_sim.machine.excavator import EmulatedExcavator
 from trackslip_sim.machine.faults import CAN, GNSS, SICK, WATSON
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
@@ -101,26 +95,22 @@ class _Host:
         self.excavator = EmulatedExcavator(p, window, START_NS)
         self._window = window
         self._tally = Tally()
-        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
-        self._can = ExcavatorCan(can, load_frames(can), self._tally)
-        watson = default_parameters(WatsonParameters, "watson_imu")
-        layout = Layout(watson.channels, watson.formats, watson.full_scales)
-        self._imu = WatsonStream(layout, watson.serial_baud, 0, self._tally)
-        self._sick = default_parameters(SickParameters, "sick_pls")
-        self._session = SickSession(self._sick, self._tally)
+        self._drivers = drivers = self.excavator.drivers
+        self._can = ExcavatorCan(drivers.can, drivers.frames, self._tally)
+        self._imu = WatsonStream(drivers.layout, drivers.watson.serial_baud, 0, self._tally)
+        self._session = SickSession(drivers.sick, self._tally)
         self._baud = self._session.baud
         box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
         self._vehicle = p.vehicle.whole()
         self._localizer = BoxLocalizer(box, p.vehicle.box)
-        self._receiver = default_parameters(NmeaParameters, "nmea_gnss")
-        self._gnss = NmeaStream(self._receiver, self._tally)
+        self._gnss = NmeaStream(drivers.nmea, self._tally)
         gnss = default_parameters(GnssLocalizerParameters, gnss_parameters.NODE)
         origin = {name: getattr(p.gnss, name) for name in ("latitude", "longitude", "altitude")}
         self._map = replace(gnss, **{f"datum_{name}": value for name, value in origin.items()})
         self._gnss_localizer = GnssLocalizer(self._map)
         self._body_frame = p.body_frame()
         self._truth = truth_topics(make, self._vehicle, self._body_frame)
-        serializers = sensor_serializers(watson, self._body_frame) | self._truth_serializers()
+        serializers = sensor_serializers(drivers.watson, self._body_frame) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
         self.recording.add(VEHICLE, text, START_NS)
@@ -193,7 +183,7 @@ class _Host:
         self.excavator.receive_sick(action.write, now_ns, self._baud)
 
     def _on_scan(self, scan: ScanSample, now_ns: int) -> None:
-        message = of_sensors.laser_scan(make, scan, self._sick.frame_id)
+        message = of_sensors.laser_scan(make, scan, self._drivers.sick.frame_id)
         self.recording.add("scan", message, now_ns)
         ranges = np.asarray(message.ranges, dtype=np.float64)  # rounded as in the message
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
@@ -204,15 +194,14 @@ class _Host:
             self.recording.add("box_pose", message, now_ns)
 
     def _on_gnss(self, sample: Sample, now_ns: int) -> None:
+        receiver = self._drivers.nmea
         if isinstance(sample, VelocitySample):
-            velocity = of_sensors.velocity(make, sample, self._receiver.frame_id)
-            self.recording.add(VELOCITY, velocity, now_ns)
+            self.recording.add(VELOCITY, of_sensors.velocity(make, sample, receiver.frame_id), now_ns)
             return
         if not isinstance(sample, FixSample):
-            heading = of_sensors.heading(make, sample, self._receiver.heading_frame_id)
-            self.recording.add(HEADING, heading, now_ns)
+            self.recording.add(HEADING, of_sensors.heading(make, sample, receiver.heading_frame_id), now_ns)
             return
-        message = of_sensors.nav_sat_fix(make, sample, self._receiver.frame_id)
+        message = of_sensors.nav_sat_fix(make, sample, receiver.frame_id)
         self.recording.add(FIX, message, now_ns)
         place = self._gnss_localizer.locate(of_fixes.fix(message))
         if not isinstance(place, Reason):
