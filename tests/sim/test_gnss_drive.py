@@ -211,14 +211,8 @@ def _with_quaternions(source: Path, path: Path) -> Path:
         for m in bag.messages():
             type_name, raw = m.type_name, bytes(m.raw)
             if m.topic == "/heading":
-                imu = bag.deserialize(m.raw, m.type_name)
-                q = imu.orientation
-                type_name = "geometry_msgs/msg/QuaternionStamped"
-                quaternion = make("geometry_msgs/msg/Quaternion", x=q.x, y=q.y, z=q.z, w=q.w)
-                stamp = imu.header.stamp
-                time = make("builtin_interfaces/msg/Time", sec=stamp.sec, nanosec=stamp.nanosec)
-                head = make("std_msgs/msg/Header", stamp=time, frame_id="gnss_antenna")
-                raw = serialize(make(type_name, header=head, quaternion=quaternion))
+                imu, type_name = bag.deserialize(m.raw, m.type_name), "geometry_msgs/msg/QuaternionStamped"
+                raw = serialize(make(type_name, header=imu.header, quaternion=imu.orientation))
             copy.write(m.topic, type_name, raw, m.log_time_ns)
     return path
 

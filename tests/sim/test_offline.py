@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives recorded faster than real time: skipping, streaming and writing by columns lose nothing."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,9 @@ from trackslip_sim.truth.record import WINDOW_LENGTH, TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
 
-PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5, "gnss.device.rate": 10.0})
+PARAMETERS = load_emulator_parameters(
+    {"lead_in": 6.0, "seed": 5, "gnss.device.rate": 10.0, "frame_prefix": "digger1/"}
+)
 SCENARIO = load_scenario("patches").with_duration(4.0)
 MS = 1_000_000
 
@@ -49,11 +50,9 @@ def test_skipped_ticks_change_nothing(
     assert topics >= {"/scan", "/box_pose", "/imu/data_raw", "/gnss_pose", "/heading", "/truth/soil"}
 
 
-def test_frame_of_the_machine_has_its_prefix_on_every_topic(tmp_path: Path) -> None:
-    p = replace(PARAMETERS, frame_prefix="digger1/")
-    record_drive(p, simulate(SCENARIO), tmp_path / "bag")
+def test_frame_of_the_machine_has_its_prefix_on_every_topic(recorded: list[tuple[str, int, bytes]]) -> None:
     frames = {}
-    for topic, _, raw in messages(tmp_path / "bag"):
+    for topic, _, raw in recorded:
         name = topic.removeprefix("/")
         if name != "vehicle":
             message = deserialize(raw, TOPICS[name].type_name)

@@ -13,10 +13,9 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.sensors import MachineSensors, mounting_of
-from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
-from trackslip_sim.truth.record import TruthWindow
-from trackslip_sim.truth.settings import load_settings
+from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.simulate import simulate
 from trackslip_sim.truth.swing import swing_motion
 
@@ -78,11 +77,20 @@ def test_a_vehicle_without_a_cab_cannot_swing_it() -> None:
         simulate(scenario, upper=None)
 
 
-def test_sensors_on_the_cab_turn_about_the_swing_axis() -> None:
-    """The axis is fixed while the cab turns; the gyro measures both rotations."""
+@pytest.fixture(scope="module")
+def dug() -> tuple[EmulatorParameters, Truth, MachineSensors]:
+    """The drive ``dig_cycles`` and its sensors."""
     p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab"})
     truth = simulate_drive(p)
-    sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
+    window = TruthWindow((truth,), truth.duration)
+    return p, truth, MachineSensors(window, p.noise, 0, 1, mounting_of(p.vehicle))
+
+
+def test_sensors_on_the_cab_turn_about_the_swing_axis(
+    dug: tuple[EmulatorParameters, Truth, MachineSensors],
+) -> None:
+    """The axis is fixed while the cab turns; the gyro measures both rotations."""
+    p, truth, sensors = dug
     times = truth.t[::50]
     x, y, yaw = sensors.pose_at(times)
     upper_x, upper_y, upper_yaw = sensors.upper_pose_at(times)
@@ -100,17 +108,13 @@ def test_sensors_on_the_cab_turn_about_the_swing_axis() -> None:
     assert reading.position == pytest.approx(truth.swing[fastest], abs=0.01)
 
 
-def test_the_encoder_reads_within_half_a_turn() -> None:
-    p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab", "duration": 50.0})
-    truth = simulate_drive(p)
-    sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
+def test_the_encoder_reads_within_half_a_turn(dug: tuple[EmulatorParameters, Truth, MachineSensors]) -> None:
+    _, truth, sensors = dug
     positions = [sensors.swing(round(t * 1e9)).position for t in truth.t[::200]]
     assert np.abs(positions).max() <= math.pi
 
 
-def test_dig_cycles_end_near_their_start() -> None:
-    scenario = load_scenario("dig_cycles")
-    truth = simulate(scenario, settings=load_settings(), upper=CAB.upper_structure)
-    assert scenario.vehicle == "pc05_cab"
+def test_dig_cycles_end_near_their_start(dug: tuple[EmulatorParameters, Truth, MachineSensors]) -> None:
+    _, truth, _ = dug
     assert math.hypot(truth.x[-1], truth.y[-1]) < 1.5
     assert truth.swing[-1] == pytest.approx(0.0, abs=0.005)

@@ -49,7 +49,7 @@ def run_loaded(speeds: FloatArray, on: Ground, relief: float, loaded: TruthSetti
     return np.vstack([machine.first_row(), machine.drive(speeds)])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20)
 @given(segments=SEGMENTS, name=NAMES, relief=RELIEF)
 def test_mirrored_commands_mirror_the_run(segments: list[Segment], name: str, relief: float) -> None:
     speeds = commands(segments)
@@ -65,7 +65,6 @@ def test_mirrored_commands_mirror_the_run(segments: list[Segment], name: str, re
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None)
 @given(segments=SEGMENTS, name=NAMES)
 def test_machine_is_symmetric_front_to_back(segments: list[Segment], name: str) -> None:
     """Symmetry under a rotation by π: reversed and swapped commands give the reversed path."""
@@ -76,7 +75,7 @@ def test_machine_is_symmetric_front_to_back(segments: list[Segment], name: str) 
     np.testing.assert_allclose(turned[:, 2], rows[:, 2], rtol=0, atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(
     segments=SEGMENTS,
     name=NAMES,
@@ -102,7 +101,7 @@ def test_energy_is_only_lost_and_all_stays_finite(
     assert spare.min() > -1e-5  # W; powers are hundreds of W
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10)
 @given(segments=SEGMENTS, name=NAMES)
 def test_every_run_comes_to_rest(segments: list[Segment], name: str) -> None:
     stopped = [*segments, Segment(2.5, 0.0, 0.0)]

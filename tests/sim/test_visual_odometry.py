@@ -34,13 +34,10 @@ SETTINGS = {
 CLAY = {"soil": "clayey_soil", "from_x": 6.0, "to_x": 100.0, "from_y": -100.0, "to_y": 100.0}
 
 
-@pytest.fixture(scope="module", params=["sand", pytest.param("clay ahead", marks=pytest.mark.slow)])
-def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def record(path: Path, segments: int, patches: list[dict[str, Any]]) -> Path:
+    """A bag of the first segments of the field trial."""
     tree = dict(read_yaml(config_file("scenarios/field_trial.yaml")))
-    tree["segments"] = tree["segments"][:SEGMENTS]
-    if request.param == "clay ahead":
-        tree["patches"] = [CLAY]
-    path = tmp_path_factory.mktemp("camera")
+    tree |= {"segments": tree["segments"][:segments], "patches": patches}
     parameters = load_emulator_parameters({"lead_in": 6.0, "seed": 5})
     record_drive(parameters, simulate(parse_scenario(tree)), path / "plain")
     return with_visual_odometry(path / "plain", path / "bag")
@@ -56,8 +53,10 @@ def without_fixes(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_half_a_minute_without_fixes_is_bridged(bag: Path) -> None:
+@pytest.mark.parametrize("patches", [[], [CLAY]], ids=["sand", "clay ahead"])
+def test_half_a_minute_without_fixes_is_bridged(patches: list[dict[str, Any]], tmp_path: Path) -> None:
     """The drift is 1 %, below that of the sprockets alone."""
+    bag = record(tmp_path, SEGMENTS, patches)
     blind, summary = without_fixes(bag, {}), without_fixes(bag, SETTINGS)
     assert summary["rmse"]["withheld"]["end"] < min(0.06, 0.8 * blind["rmse"]["withheld"]["end"])
     assert summary["rmse"]["heading"] < 0.006 < blind["rmse"]["heading"]
@@ -66,7 +65,8 @@ def test_half_a_minute_without_fixes_is_bridged(bag: Path) -> None:
     assert set(summary["rejected"][TOPIC]) == {"begun", "waiting"}
 
 
-def test_replay_reads_odometry_as_the_node_does(bag: Path) -> None:
+def test_replay_reads_odometry_as_the_node_does(tmp_path: Path) -> None:
+    bag = record(tmp_path, 3, [])
     p = load_slip_parameters(SETTINGS)
     numbers = {name: k for k, name in enumerate(p.timeouts_ns())}
     with open_bag(bag) as opened:
@@ -75,6 +75,6 @@ def test_replay_reads_odometry_as_the_node_does(bag: Path) -> None:
     poses: list[Any] = [odometry_pose(m, TOPIC, p.odometries()[TOPIC]) for m in messages]
     expected = to_records(poses, numbers)
     odometry = rows[rows["kind"] == ODOMETRY]
-    assert len(odometry) == len(expected) > 900
+    assert len(odometry) == len(expected) > 200
     for name in ("stamp_ns", "source", "value", "noise", "orientation", "frame"):
         np.testing.assert_array_equal(odometry[name], expected[name])
