@@ -10,6 +10,7 @@ states ``measured on DATE by …`` (``in MONTH YEAR with …``).
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from fixtures.documents import DOCUMENTS, ROOT, Document
@@ -57,10 +58,7 @@ def test_figures_from_files_in_the_tree_are_current(name: str) -> None:
 
 
 def test_figure_that_cannot_be_measured_states_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(_: Path) -> list[str]:
-        raise NotMeasured("no log")
-
-    monkeypatch.setattr(make_numbers, "MEASUREMENTS", {"a": fails})
+    monkeypatch.setattr(make_numbers, "MEASUREMENTS", {"a": Mock(side_effect=NotMeasured("no log"))})
     assert make_numbers.measure_block(None, "a") == ("a", "", "no log")
 
 
@@ -69,7 +67,7 @@ def test_a_block_is_rewritten_and_the_rest_stays() -> None:
     assert blocks_of(text) == {"a": "old 2\n"}
     new = rewrite_blocks(text, {"a": "new 4\n", "b": "none 5\n"})
     assert new == text.replace("old 2", "new 4")
-    assert without_blocks(text) == "before 1\n\n\n\nafter 3\n".replace("\n\n\n\n", "\n" + "\n" * 3)
+    assert without_blocks(text) == "before 1\n\n\n\nafter 3\n"
 
 
 @pytest.mark.parametrize(
@@ -96,13 +94,10 @@ def test_measured_figures_name_what_they_were_measured_with(file: Path) -> None:
     ("text", "count"),
     [
         ("# A\n\n| mm |\n|---|\n| 1.5 |\n", 1),
-        ("# A\n\nThe RMSE is 7 m.\n", 1),
         ("# A\n\n| what |\n|---|\n| by (3.8), Fig. 4.3 |\n", 0),
-        ("# A\n\nThe RMSE is 7 m. Measured on 2026-11-21 by `make bars`.\n", 0),
         ("# A\n\nThe RMSE is\n7 m (`tests/sim/test_swing.py`).\n", 0),
         ("# A\n\nMeasured in November 2026 with `make bench`.\n\n# B\n\nIt takes 7 µs.\n", 1),
-        ("# A\n\nA timeout of 0.5 s.\n", 0),
-        ("# A\n\n    RMSE 0.5\n", 0),
+        ("# A\n\nA timeout of 0.5 s.\n\n    RMSE 0.5\n", 0),
         ("# A\n\n<!-- numbers: a -->\nRMSE 0.5\n<!-- end of a -->\n", 0),
     ],
 )

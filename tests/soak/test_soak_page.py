@@ -40,12 +40,6 @@ def test_noise_is_not_reported_as_a_leak() -> None:
     assert certain <= 10  # 2.5 expected, more by the correlated noise
 
 
-def test_short_run_has_no_growth_rate() -> None:
-    result = growth(*series(1.0, 1, seconds=250.0))
-    assert math.isnan(result.per_hour)
-    assert not result.is_certain
-
-
 def test_missing_samples_do_not_hide_the_growth() -> None:
     times, values = series(30.0, 1)
     gaps = values.copy()
@@ -55,7 +49,9 @@ def test_missing_samples_do_not_hide_the_growth() -> None:
     assert math.isnan(growth(times, np.full_like(values, np.nan)).first)
 
 
-def test_constant_series_has_zero_growth() -> None:
+def test_short_run_has_no_rate_and_constant_series_has_zero_growth() -> None:
+    short = growth(*series(1.0, 1, seconds=250.0))
+    assert (math.isnan(short.per_hour), short.is_certain) == (True, False)
     result = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
     assert (result.first, result.last, result.per_hour, result.uncertainty) == (18.0, 18.0, 0.0, 0.0)
 
