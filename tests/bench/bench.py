@@ -12,7 +12,6 @@ import platform
 import statistics
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from fixtures.whole_inputs import read_inputs
 import bench_bags
 import bench_filters
 import bench_nodes
+from bench_bags import seconds_of
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag, open_bag
@@ -66,9 +66,7 @@ def _truth_seconds() -> float:
     """Seconds for a minute of the field trial in mode ``shear``, compiled and warm, on one core."""
     scenario = load_scenario("field_trial")
     simulate(scenario.with_duration(0.1), soil="sand")
-    start = time.perf_counter()
-    simulate(scenario.with_duration(60.0), soil="sand")
-    return time.perf_counter() - start
+    return seconds_of(lambda: simulate(scenario.with_duration(60.0), soil="sand"))
 
 
 def show(what: str, here: str, beside: str = "", bar: str = "") -> None:
@@ -98,7 +96,7 @@ def _graph(directory: Path) -> None:
         show(f"  a bare relay for the estimator, {which}", f"{bare:.2f} ms", f"{bare / floor:.1f} ×")
     with open_bag(graph.bag) as bag:
         p = load_slip_parameters(bag_parameters(bag))
-        seconds = _median(lambda: _seconds(lambda: replay(bag, p, InputFilters(), None)))
+        seconds = _median(lambda: seconds_of(lambda: replay(bag, p, InputFilters(), None)))
         show(
             f"replay of a bag of {bag.duration_s:.0f} s, in total",
             f"{bag.duration_s / seconds:.0f} × real time",
@@ -112,14 +110,8 @@ def _estimator_us(bag: Bag, p: SlipEstimatorParameters) -> float:
     estimator = SlipEstimator(p)
     measurements = read_inputs(bag, p, InputFilters(), ()).measurements(estimator.sources)
     one_by_one = [measurements[k : k + 1] for k in range(len(measurements))]
-    seconds = _seconds(lambda: [estimator.process_records(measurement) for measurement in one_by_one])
+    seconds = seconds_of(lambda: [estimator.process_records(measurement) for measurement in one_by_one])
     return 1e6 * seconds / len(measurements)
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
 
 
 def _median(measure: Callable[[], float]) -> float:

@@ -8,7 +8,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 from fixtures.whole_inputs import read_inputs
 
@@ -36,19 +35,19 @@ def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
     p = load_slip_parameters()
     with open_bag(path) as bag:
         seconds = bag.duration_s
-        reading = _median(lambda: _timed(lambda: _read(bag)))
+        reading = _median(lambda: seconds_of(lambda: _read(bag)))
         whole = _median(lambda: replay(bag, p, InputFilters(), None).elapsed_s)
         inputs = read_inputs(bag, p, InputFilters(), ())
         task = read_task(bag, p, InputFilters(), None, needs_reference=True)
     yield f"reading of {seconds:.0f} s, all that a replay needs", f"{seconds / reading:.0f} ×", "", "≥ 250 ×"
     yield f"replay of {seconds:.0f} s", f"{seconds / whole:.0f} ×", "", "≥ 300 ×"
     measurements = inputs.measurements(SlipEstimator(p).sources)
-    alone = _median(lambda: _timed(lambda: SlipEstimator(p).process_records(measurements)))
+    alone = _median(lambda: seconds_of(lambda: SlipEstimator(p).process_records(measurements)))
     yield "replay, filter alone", f"{seconds / alone:.0f} ×", "", ""
     jobs = [(0, {"gate_relaxation": 2.0 + k / SETS}) for k in range(SETS)]
     with open_workers(core_count(), shared=[task]) as mapped:
         list(mapped(score_of, jobs[:1]))  # starts the processes
-        each = _timed(lambda: list(mapped(score_of, jobs))) / SETS
+        each = seconds_of(lambda: list(mapped(score_of, jobs))) / SETS
     yield (
         "tune, 1000 sets on that bag, all cores",
         f"{1000 * each:.0f} s",
@@ -69,7 +68,8 @@ def _median(measure: Callable[[], float]) -> float:
     return statistics.median(values[1:])  # the first run compiles
 
 
-def _timed(function: Callable[[], Any]) -> float:
+def seconds_of(function: Callable[[], object]) -> float:
+    """Duration of a call, s."""
     began = time.perf_counter()
     function()
     return time.perf_counter() - began
