@@ -72,14 +72,14 @@ def test_hostile_text_of_a_fault_is_refused_for_its_defect_in_one_line(text, rea
 
 
 @cache
-def run(*faults, seconds=12.0, step_ns=2 * MS):
-    """Output of the machine: (ns, frames, bytes of the inertial unit, bytes of the scanner)."""
+def run(*faults, seconds=12.0):
+    """Output of the machine: (ns, frames, bytes of the inertial unit)."""
     excavator = EmulatedExcavator(PARAMETERS, TRUTH, 0)
     for fault in faults:
         excavator.faults.add(fault, 0)
     sent = []
-    for now in range(0, round(seconds * S), step_ns):
-        sent.append((now, excavator.step_can(now), excavator.step_watson(now), excavator.step_sick(now)))
+    for now in range(0, round(seconds * S), 2 * MS):
+        sent.append((now, excavator.step_can(now), excavator.step_watson(now)))
     return sent
 
 

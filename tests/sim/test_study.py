@@ -99,7 +99,7 @@ def test_filters_get_rounded_sprockets_and_the_truth_exact_ones(bench: Bench) ->
 def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
     p, _, drive = bench
     setting, fixes, rates = bench.setting(cell(SHEAR)), drive.is_fix, drive.is_rate
-    trials = [make_trial(setting, seed) for seed in range(20)]
+    trials = [make_trial(setting, seed) for seed in range(10)]
     of_fixes = np.concatenate(
         [t.rows.measurements["value"][fixes] - t.states[fixes, OF_POSE] for t in trials]
     )
@@ -110,7 +110,7 @@ def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
     ]
     assert np.std(of_rates) == pytest.approx(0.01, rel=0.05)
     biases = {float(t.states[0, GYRO_BIAS]) for t in trials}
-    assert len(biases) == 20
+    assert len(biases) == 10
 
 
 @pytest.mark.parametrize("truth", [SHEAR, pytest.param(MATCHED, marks=pytest.mark.slow)])
@@ -143,10 +143,10 @@ def test_drive_without_motion_is_refused(estimator: SlipEstimatorParameters) -> 
 
 def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters) -> None:
     """The bound in a steady turn equals the textbook recursion."""
-    config, rows = make_config(estimator), Rows(np.zeros(60, MEASUREMENT), np.zeros(60, STATE))
+    config, rows = make_config(estimator), Rows(np.zeros(30, MEASUREMENT), np.zeros(30, STATE))
     config["stamp_errors"] = 0.0
-    rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 61)
-    rows.measurements["kind"][19::20] = POSE
+    rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 31)
+    rows.measurements["kind"][9::10] = POSE
     rows.measurements["noise"] = fix = np.diag((4e-4, 4e-4, 1e-4))
     rows.drives["speeds"] = Speeds(1.6, 1.2, 4e-4, 2e-8)
     rows.drives["motion"]["motion"] = Motion.TURNING
@@ -278,11 +278,6 @@ def test_bound_of_drawn_machines_uses_their_distribution(bench: Bench) -> None:
     drawn = [FIX_DELAY, GYRO_SCALE, ASYMMETRY]
     variances = np.mean([trial.start_state[drawn] ** 2 for trial in trials], axis=0)
     assert variances / np.diag(trials[0].truth_covariance)[drawn] == pytest.approx(1.0, abs=0.3)
-
-
-def test_machines_that_are_drawn_do_not_drive_on_terrain() -> None:
-    with pytest.raises(InputError, match="terrains: not with truth drawn"):
-        load_study_parameters({"truths": ["drawn"], "terrains": ["hill"]})
 
 
 @pytest.mark.slow

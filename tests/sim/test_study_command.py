@@ -154,6 +154,7 @@ REFUSED = [
         ["--settling", "9", "--duration", "9"],
         "settling: 9 s is refused; accepted: up to 1 s less than",
     ),
+    ("slip", ["--truth", "drawn", "--terrain", "hill"], "terrains: not with truth drawn"),
     ("slip", ["--filter", "ukf"], "--filter"),
     ("slip", ["--set", "slip_estimator.mass=3"], "mass"),
     ("slip", ["--scenario", "slalom", "thesis"], "--scenario: 'thesis' is one too many; accepted: one"),

@@ -145,7 +145,7 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     """The expected bound uses measurement functions defined in this file."""
     config = make_config(with_encoder)
     noises = {POSE: (4e-4, 4e-4, 1e-4), YAW_RATE: (1e-4,), ON_SWING: (4e-6,)}
-    config["stamp_errors"], count = 0.0, 60
+    config["stamp_errors"], count = 0.0, 30
     rows = Rows(np.zeros(count, MEASUREMENT), np.zeros(count, STATE))
     rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, count + 1)
     rows.measurements["kind"] = kinds = np.resize([ON_SWING, YAW_RATE, POSE], count)
