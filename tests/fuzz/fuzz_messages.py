@@ -90,7 +90,9 @@ class Mutator:
         blank = make(topic.type_name, header=header(make, 0, "base_link"), **fields)
         self._raw = bytes(serialize_message(blank))
         self._places, self._plain = list[int](), list[float]()  # of all float64
-        for name, (field, offset, *_) in Layout(fields_of, topic.type_name, self._raw).dtype.fields.items():
+        numbers = Layout(fields_of, topic.type_name, self._raw).dtype.fields
+        assert numbers is not None
+        for name, (field, offset, *_) in numbers.items():
             if field.base == np.float64:
                 values = _plain(name, field.itemsize // 8).tolist()
                 self._plain += values

@@ -117,7 +117,8 @@ def test_receiver_goes_from_fixed_to_float_to_no_fix_and_back():
     floating = (stamps > 10.1) & (stamps < 39.9)
     assert set(np.round(places[floating, 3], 6)) == {0.3}
     assert 0.05 < np.sqrt(np.mean(errors[floating] ** 2)) < 1.0
-    assert np.abs(np.diff(errors[floating])).max() < 0.3  # a slow drift
+    east = places[floating, 1]
+    assert np.corrcoef(east[1:], east[:-1])[0, 1] > 0.9  # a slow drift
     assert not ((stamps > 40.1) & (stamps < 44.9)).any()
     assert errors[stamps > 45.0].max() < 0.06
     assert len([h for h in headings if 10.1 * S < h.stamp_ns < 39.9 * S]) > 290  # independent of corrections
