@@ -256,3 +256,57 @@ def test_slide_keeps_the_heading_of_the_compass() -> None:
     rejected = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]
     assert len(rejected) <= 3
     assert abs(own.estimate().pose[2]) < 0.06  # 0.05: expected error of a compass
+
+
+SILENT, BACK = 10.0, 40.0  # s, of the IMU
+
+
+def over_a_ramp() -> tuple[list[Measurement], dict[int, tuple[float, float]]]:
+    """Straight on at 0.4 m/s, from level ground up a ramp of 15° at 12 s; truth: stamp → pitch and height.
+
+    The IMU is silent from SILENT to BACK.
+    """
+    rng, found, truth = np.random.default_rng(4), list[Measurement](), dict[int, tuple[float, float]]()
+    x = z = 0.0
+    for k in range(50 * 20):
+        t, stamp_ns = k * 0.05, (k + 1) * 50 * MS
+        pitch = -math.radians(15.0) * min(max((t - 12.0) / 3.0, 0.0), 1.0)
+        rate = -math.radians(15.0) / 3.0 if 12.0 <= t < 15.0 else 0.0
+        truth[stamp_ns] = pitch, z
+        found.append(Sprockets("sprockets", stamp_ns, 0.4 / R, 0.4 / R))
+        if not SILENT <= t < BACK:
+            force = GRAVITY * np.array((-math.sin(pitch), 0.0, math.cos(pitch))) + rng.normal(0.0, 0.05, 3)
+            f_x, f_y, f_z = force.tolist()
+            p, q, r = rng.normal((0.0, rate, 0.0), 0.003).tolist()
+            rates, variances = (p, q), (9e-6, 9e-6)
+            found.append(
+                YawRate("imu/data_raw", stamp_ns, r, 9e-6, rates, variances, (f_x, f_y, f_z), 0.0025)
+            )
+        if k % 20 == 0:
+            found.append(PoseFix("box_pose", stamp_ns, np.array((x, 0.0, 0.0)), np.diag((4e-4, 4e-4, 1e-4))))
+        x, z = x + 0.4 * math.cos(pitch) * 0.05, z - 0.4 * math.sin(pitch) * 0.05
+    return found, truth
+
+
+def test_tilt_of_a_silent_imu_becomes_unknown_and_the_height_with_it() -> None:
+    own, (measurements, truth) = estimator(), over_a_ramp()
+    has_tilt: list[float] = []  # s
+    for m in measurements:
+        _, e = own.process(m)
+        if e is None or e.outputs.tilt is None:
+            continue
+        pitch, z = truth[e.stamp_ns]
+        tilt, P = e.outputs.tilt.tilt, e.outputs.tilt.covariance
+        assert abs(tilt[1] - pitch) < 4.0 * math.sqrt(P[1, 1])
+        assert abs(tilt[2] - z) < max(4.0 * math.sqrt(P[2, 2]), 0.02)
+        has_tilt.append(e.stamp_ns * 1e-9)
+    silence = [t for t in has_tilt if SILENT < t < BACK]
+    assert SILENT + 2.0 < max(silence) < SILENT + 15.0
+    assert math.sqrt(P[1, 1]) < math.radians(1.0)
+    assert 0.3 < math.sqrt(P[2, 2]) < 4.0  # the machine has climbed 2.5 m
+
+
+def test_status_names_a_silent_imu() -> None:
+    own, (measurements, _) = estimator(), over_a_ramp()
+    own.process_all([m for m in measurements if m.stamp_ns < 30_000 * MS])
+    assert own.attitude == "flat: imu/data_raw is silent"

@@ -55,7 +55,7 @@ from trackslip_estimation.attitude.span import (
     mean_tilt,
     reset_span,
 )
-from trackslip_estimation.attitude.start import initialise_from_gravity
+from trackslip_estimation.attitude.start import initialise_from_gravity, initialise_tilt
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.kalman.update import correct, independent_observation, predicted_covariance
 
@@ -91,10 +91,10 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
         return int(a.rejection)
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
-    if a.known == 1 and dt > 0.0:
-        _propagate_tilt(a, _unbiased_rates(a), dt, n)
-        if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
-            a.known = 0
+    if dt > LONGEST_GAP:
+        _propagate_unmeasured_tilt(a, imu.stamp_ns, n)
+    elif a.known == 1 and dt > 0.0:
+        _propagate_tilt(a, _unbiased_rates(a), dt, True, n)
     a.rejection = update_with_orientation(a, n) if imu.use_orientation == 1 else 0
     if _filter_force(a, dt, n) and is_gravity(a):
         if a.known == 0:
@@ -107,9 +107,32 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
             _update_tilt(a, mean_acceleration(a, u), n)
             reset_span(a, _imu_velocity(imu, _unbiased_rates(a)))
     a.rates[0], a.rates[1], a.rates[2] = _unbiased_rates(a)
-    a.stamp_ns, a.seen = imu.stamp_ns, 1
+    a.stamp_ns, a.reached_ns, a.seen = imu.stamp_ns, imu.stamp_ns, 1
     set_level(a)
     return int(a.rejection)
+
+
+@compiled
+def propagate_silence(a: Attitude, stamp_ns: int, n: AttitudeConstants) -> None:
+    """Propagate the attitude to a stamp at which its IMU has been silent for longer than ``LONGEST_GAP``."""
+    if a.seen == 0 or (stamp_ns - a.stamp_ns) * 1e-9 <= LONGEST_GAP:
+        return
+    a.rates[:], a.sample.rate_variances[:] = 0.0, _UNMEASURED_RATE_VARIANCE
+    a.sample.force_variance = _UNMEASURED_FORCE_VARIANCE
+    _propagate_unmeasured_tilt(a, stamp_ns, n)
+    set_level(a)
+
+
+@compiled
+def _propagate_unmeasured_tilt(a: Attitude, stamp_ns: int, n: AttitudeConstants) -> None:
+    """Propagate roll and pitch to a stamp without their rates: the ground tilts the machine meanwhile."""
+    if a.known == 1 and stamp_ns > a.reached_ns:
+        _propagate_tilt(a, (0.0, 0.0, 0.0), (stamp_ns - a.reached_ns) * 1e-9, False, n)
+        if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
+            initialise_tilt(a, 0.0, 0.0, n)
+            a.covariance[ROLL, ROLL] = a.covariance[PITCH, PITCH] = n.lost**2  # for the height meanwhile
+            a.known = 0
+    a.reached_ns = stamp_ns
 
 
 @compiled
@@ -169,10 +192,12 @@ def _imu_velocity(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[fl
 
 
 @compiled
-def _propagate_tilt(a: Attitude, rates: tuple[float, float, float], dt: float, n: AttitudeConstants) -> None:
-    """Propagate roll and pitch over ``dt`` s with the mean of the rates at both ends."""
+def _propagate_tilt(
+    a: Attitude, rates: tuple[float, float, float], dt: float, is_measured: bool, n: AttitudeConstants
+) -> None:
+    """Propagate roll and pitch over ``dt`` s with the mean rates at both ends, if measured."""
     x, P, imu = a.mean[:], a.covariance[:], a.sample
-    weight = 0.5 if dt <= LONGEST_GAP else 0.0
+    weight = 0.5 if is_measured else 0.0
     p, q, r = (
         weight * (rates[0] + a.rates[0]),
         weight * (rates[1] + a.rates[1]),
@@ -194,7 +219,7 @@ def _propagate_tilt(a: Attitude, rates: tuple[float, float, float], dt: float, n
     for i in range(SIZE):
         Q[i, i] = n.walk[i] * dt
     roll_noise = pitch_noise = n.ground_rate**2 * n.scale_time
-    if weight > 0.0 and _has_rates(imu):
+    if is_measured and _has_rates(imu):
         scale_noise = n.gyro_scale_stddev**2 * n.scale_time
         p_variance, q_variance = imu.rate_variances[0], imu.rate_variances[1]
         roll_noise = (imu.cos**2 * p_variance + imu.sin**2 * q_variance) * dt + scale_noise * roll_rate**2
@@ -255,8 +280,6 @@ def climb_rate(x: FloatArray, v_x: float, v_y: float) -> float:
 @compiled
 def propagate_height(a: Attitude, v_x: float, v_y: float, dt: float) -> None:
     """Propagate the height over ``dt`` s at these speeds along the ground."""
-    if a.known == 0:
-        return
     x, P = a.mean, a.covariance
     sin, cos = math.sin(x[ROLL]), math.cos(x[ROLL])
     sin_pitch, cos_pitch = math.sin(x[PITCH]), math.cos(x[PITCH])

@@ -100,6 +100,7 @@ class Attitude(Record):
     known: int  # 0 or 1: whether roll and pitch are known
     seen: int  # 0 or 1: whether the IMU has sent a sample
     stamp_ns: int  # of its last sample
+    reached_ns: int  # stamp to which roll and pitch are propagated: beyond the last sample while it is silent
     sample: ImuSample  # newest sample
     mean: Annotated[FloatArray, SIZE]
     covariance: Annotated[FloatArray, (SIZE, SIZE)]

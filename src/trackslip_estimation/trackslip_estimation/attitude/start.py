@@ -28,7 +28,7 @@ _INITIAL_NOISE = 1.0  # (m/s²)², noise of the accelerometers before the first 
 @compiled
 def reset_attitude(a: Attitude) -> None:
     """Reset the attitude to unknown, without any sample."""
-    a.known = a.seen = a.stamp_ns = a.rejection = 0
+    a.known = a.seen = a.stamp_ns = a.reached_ns = a.rejection = 0
     a.oriented_ns = NEVER_NS
     a.mean[:], a.covariance[:] = 0.0, 0.0
     a.rates[:], a.mean_force[:], a.sample.force[:], a.span.begun = 0.0, 0.0, np.nan, 0

@@ -67,7 +67,7 @@ def update_attitude(state: State, measurement: MeasurementRecord, bias: int, c: 
 @compiled
 def propagate_height_by_twist(state: State, dt: float, c: Config) -> None:
     """Propagate the height over ``dt`` s with the speeds of the state."""
-    if state.attitude.known == 1 and dt > 0.0:
+    if state.attitude.seen == 1 and dt > 0.0:  # also while the tilt is unknown
         v_x, v_y, _ = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
         propagate_height(state.attitude, v_x, v_y, dt)
 
