@@ -32,6 +32,11 @@ from trackslip_estimation.slip.records import STATE
 MS, R = 1_000_000, 0.159
 HEIGHT = 2.0  # m, of an antenna
 GROUP = "sources.box_pose."
+RECEIVER = {  # fixes of a receiver
+    "sources__box_pose__fault_rate": 1 / 300,
+    "sources__box_pose__jump_rate": 1 / 3000,
+    "sources__box_pose__standing_share": 0.0,
+}
 
 
 def across(heading: float, slope: float) -> tuple[float, float]:
@@ -310,3 +315,38 @@ def test_status_names_a_silent_imu() -> None:
     own, (measurements, _) = estimator(), over_a_ramp()
     own.process_all([m for m in measurements if m.stamp_ns < 30_000 * MS])
     assert own.attitude == "flat: imu/data_raw is silent"
+
+
+def test_fixes_follow_a_slide_that_slows_down_and_stops_after_the_tracks() -> None:
+    """On a side slope of 15° tracks spin at 0.6 m/s for 20 s, and stop; RTK with five fixes a second."""
+    slope, rng = math.radians(15.0), np.random.default_rng(6)
+    own, given, truth = estimator(**RECEIVER), list[Measurement](), dict[int, float]()
+    roll, pitch = across(0.0, slope)
+    force = GRAVITY * np.array(
+        (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
+    )
+    y = turned = speed = 0.0
+    for k in range(40 * 20):
+        t, stamp_ns = k * 0.05, (k + 1) * 50 * MS
+        spins = 0.6 if 5.0 <= t < 25.0 else 0.0
+        steady = 1.0 - 0.15 * math.sin(0.5 * (t - 5.0)) if spins else 0.0
+        speed += min(max(steady - speed, -0.7 * 0.05), 0.5 * 0.05)  # within 2 s and 1.4 s
+        y, turned, truth[stamp_ns] = y - speed * math.cos(slope) * 0.05, turned + spins * 0.05 / R, y
+        f_x, f_y, f_z = (force + rng.normal(0.0, 0.05, 3)).tolist()
+        p, q, r = rng.normal(0.0, 0.003, 3).tolist()
+        given.append(Sprockets("sprockets", stamp_ns, spins / R, spins / R, (turned, turned)))
+        given.append(
+            YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), 0.0025)
+        )
+        if k % 4 == 0:
+            pose = np.array((*rng.normal((0.0, y), 0.02), rng.normal(0.0, 0.01)))
+            given.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
+    errors, nees = [], []
+    for m in given:
+        _, e = own.process(m)
+        if e is not None:
+            error = e.pose[:2] - (0.0, truth[e.stamp_ns])
+            errors.append(math.hypot(*error))
+            nees.append(error @ np.linalg.solve(e.pose_covariance[:2, :2], error))
+    assert np.mean(nees) < 5.0
+    assert max(errors) < 0.3

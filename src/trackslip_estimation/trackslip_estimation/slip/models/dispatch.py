@@ -30,7 +30,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
 from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turning
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
-from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
+from trackslip_estimation.slip.models.model import DOWNHILL, SENSOR_ERRORS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, TURN_STATE_1, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, propagate_swing
@@ -212,7 +212,7 @@ def linearize(
     J = body_jacobian(moved, left, right, state, c)
     slope.horizontal_jacobian(J, state.attitude.level)
     is_turning = has_velocity_errors(c) and state.motion.motion == _IS_TURNING
-    slope.add_slope_noise(Q, dt, is_turning, state.attitude.level)
+    slope.add_slope_noise(Q, dt, is_turning, x[DOWNHILL], state.attitude.level)
     if c.model == _TURNING and state.attitude.level.known == 1:
         distance = slope.track_speed((left, right), c) * dt
         turning.add_slope_noise(Q, distance, state.attitude.level.downhill_y)
@@ -229,6 +229,7 @@ def linearize(
         growth = speed.error_growth(dt, state.motion.motion, c)
         _add_velocity_errors(F, Q, J, speed.error_variances(x, P, state, c), growth, (rho, mean_share))
         speed.add_track_error(Q, halfway, dt, state, c)
+        slope.add_slide_lag(Q, halfway, dt, state, c)
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
             moved[i] = x[i] * rho
     else:

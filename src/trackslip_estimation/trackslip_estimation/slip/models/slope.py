@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.models.model import DOWNHILL, YAW
+from trackslip_estimation.slip.models.model import DOWNHILL, YAW, X, Y
 from trackslip_estimation.slip.models.speed import ROTATION_OFFSET, TURN_STATE_1, TURN_STATE_2
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 Twist = tuple[float, float, float]
 
 _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
+_SLIDE_WALK = 0.05  # 1/√s, random walk of k, as a share of k
+_SLIDE_LAG = 0.5  # s, time in which the speed of a slide follows the tracks
 _GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
 _AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
 _DIRECTION_CHANGE = 0.1  # change of the sine of the slope driven down at which k is inflated
@@ -118,12 +120,15 @@ def inflate_downhill_slip(state: State) -> None:
 
 
 @compiled
-def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, level: Level) -> None:
-    """Add noise of the heading by errors of roll and gyro to Q, and of κ, η and x_I in turns.
+def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, k: float, level: Level) -> None:
+    """Add noise of the heading by errors of roll and gyro to Q, of k, and of κ, η and x_I in turns.
 
-    The noise of k is scaled down on level ground, where k is not observable.
+    The noise of k grows with k, as the speed of a slide changes by a share of it. It is scaled down on level
+    ground, where k is not observable.
     """
     slope = level.downhill_x**2 + level.downhill_y**2
+    if Q[DOWNHILL, DOWNHILL] > 0.0:  # not at standstill
+        Q[DOWNHILL, DOWNHILL] += (_SLIDE_WALK * k) ** 2 * dt
     Q[DOWNHILL, DOWNHILL] *= slope / (slope + _GENTLE**2)
     Q[YAW, YAW] += level.turn_variance * dt
     if is_turning and level.known == 1:
@@ -131,3 +136,16 @@ def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, level: Level) ->
         Q[TURN_STATE_1, TURN_STATE_1] += of_first**2 * slope * dt
         Q[TURN_STATE_2, TURN_STATE_2] += of_second**2 * slope * dt
         Q[ROTATION_OFFSET, ROTATION_OFFSET] += of_offset**2 * slope * dt
+
+
+@compiled
+def add_slide_lag(Q: FloatArray, heading: float, dt: float, state: State, c: Config) -> None:
+    """Add the position error of a slide to Q: its speed follows a changed track speed after a second."""
+    level, change = state.attitude.level, state.mean[DOWNHILL] * c.rolling_radius * state.motion.departure
+    cos, sin = math.cos(heading), math.sin(heading)
+    east = change * (cos * level.downhill_x - sin * level.downhill_y)
+    north = change * (sin * level.downhill_x + cos * level.downhill_y)
+    Q[X, X] += 2.0 * _SLIDE_LAG * dt * east * east
+    Q[Y, Y] += 2.0 * _SLIDE_LAG * dt * north * north
+    Q[X, Y] += 2.0 * _SLIDE_LAG * dt * east * north
+    Q[Y, X] += 2.0 * _SLIDE_LAG * dt * east * north
