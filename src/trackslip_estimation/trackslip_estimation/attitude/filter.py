@@ -95,6 +95,7 @@ def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
         _propagate_unmeasured_tilt(a, imu.stamp_ns, n)
     elif a.known == 1 and dt > 0.0:
         _propagate_tilt(a, _unbiased_rates(a), dt, True, n)
+        _forget_uncertain_tilt(a, n)
     a.rejection = update_with_orientation(a, n) if imu.use_orientation == 1 else 0
     if _filter_force(a, dt, n) and is_gravity(a):
         if a.known == 0:
@@ -128,11 +129,17 @@ def _propagate_unmeasured_tilt(a: Attitude, stamp_ns: int, n: AttitudeConstants)
     """Propagate roll and pitch to a stamp without their rates: the ground tilts the machine meanwhile."""
     if a.known == 1 and stamp_ns > a.reached_ns:
         _propagate_tilt(a, (0.0, 0.0, 0.0), (stamp_ns - a.reached_ns) * 1e-9, False, n)
-        if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
-            initialise_tilt(a, 0.0, 0.0, n)
-            a.covariance[ROLL, ROLL] = a.covariance[PITCH, PITCH] = n.lost**2  # for the height meanwhile
-            a.known = 0
+        _forget_uncertain_tilt(a, n)
     a.reached_ns = stamp_ns
+
+
+@compiled
+def _forget_uncertain_tilt(a: Attitude, n: AttitudeConstants) -> None:
+    """Let roll and pitch be unknown beyond ``lost``; their variance is that for the height meanwhile."""
+    if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
+        initialise_tilt(a, 0.0, 0.0, n)
+        a.covariance[ROLL, ROLL] = a.covariance[PITCH, PITCH] = n.lost**2
+        a.known = 0
 
 
 @compiled
