@@ -40,11 +40,7 @@ if TYPE_CHECKING:
 MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
 QUALITIES = 3  # of fixes: precise; float ambiguities; code only
 PRECISE = 0
-NO_FIX, FOLLOWED, INTERRUPTED = (
-    0,
-    1,
-    2,
-)  # without a fix; the displacement since the last one is known; unknown
+NO_FIX, FOLLOWED, INTERRUPTED = range(3)  # ``status`` of a receiver
 
 _WHITE_F = np.exp(0.35 * (np.arange(13) - 2 + np.maximum(np.arange(13) - 8, 0)))
 _F, _G, _TIMES = (0.01, 0.1, 0.4, 1.0, 3.0), (0.3, 1.0, 3.0, 10.0, 30.0), (10.0, 30.0, 100.0)
@@ -82,7 +78,7 @@ class FixErrors(Record):
 class Receiver(Record):
     """Estimated errors of a source's fixes."""
 
-    status: int  # NO_FIX, FOLLOWED or INTERRUPTED
+    status: int  # without a fix; displacement since the last one known (FOLLOWED), or unknown
     stddev: float  # as stated by the last fix, m
     errors: Annotated[Table[FixErrors], QUALITIES]
     elapsed: float  # since the last update of the masses, s

@@ -28,7 +28,7 @@ def record_event(
     step: MeasurementRecord,
     after: int,
 ) -> EventRecord:
-    """Add an event to a branch and return it; it opens states in the step to measurement ``step``."""
+    """Add an event that explains a measurement to a branch; return it. ``step``: where it opens states."""
     e = branch.history[branch.events % HISTORY]
     e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, explained.stamp_ns
     e.stamp_ns, e.step_kind, e.step_source, e.after = step.stamp_ns, step.kind, step.source, after

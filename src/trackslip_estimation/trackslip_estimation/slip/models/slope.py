@@ -40,7 +40,7 @@ Twist = tuple[float, float, float]
 
 _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
 _SLIDE_WALK = 0.05  # 1/√s, random walk of k, as a share of k
-_SLIDE_LAG = 0.5  # s, time in which the speed of a slide follows the tracks
+_SLIDE_LAG = 0.5  # s, correlation time of the error of its speed after a change of the tracks'
 _GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
 _AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
 _DIRECTION_CHANGE = 0.1  # change of the sine of the slope driven down at which k is inflated
@@ -140,12 +140,13 @@ def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, k: float, level:
 
 @compiled
 def add_slide_lag(Q: FloatArray, heading: float, dt: float, state: State, c: Config) -> None:
-    """Add the position error of a slide to Q: its speed follows a changed track speed after a second."""
+    """Add the position error of a slide to Q while its speed follows a changed track speed."""
     level, change = state.attitude.level, state.mean[DOWNHILL] * c.rolling_radius * state.motion.departure
     cos, sin = math.cos(heading), math.sin(heading)
     east = change * (cos * level.downhill_x - sin * level.downhill_y)
     north = change * (sin * level.downhill_x + cos * level.downhill_y)
-    Q[X, X] += 2.0 * _SLIDE_LAG * dt * east * east
-    Q[Y, Y] += 2.0 * _SLIDE_LAG * dt * north * north
-    Q[X, Y] += 2.0 * _SLIDE_LAG * dt * east * north
-    Q[Y, X] += 2.0 * _SLIDE_LAG * dt * east * north
+    squared_time = 2.0 * _SLIDE_LAG * dt
+    Q[X, X] += squared_time * east * east
+    Q[Y, Y] += squared_time * north * north
+    Q[X, Y] += squared_time * east * north
+    Q[Y, X] += squared_time * east * north
