@@ -101,7 +101,6 @@ class Event(IntEnum):
 ) = map(int, Event)
 
 HEADINGS = 8  # branches of an unknown heading, one for each sector of the circle
-UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``
 ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of a uniform heading
 MEASURED = -1  # ``part``: the heading is that of a compass
 LOST = 1  # ``part``: half of the counts of the sprockets are lost

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
+UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``events.HEADINGS``
 UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
 SwungArm = tuple[float, float, float, float]
 
@@ -41,6 +42,19 @@ class Lever(NamedTuple):
     east: float  # m
     north: float  # m
     jacobian: FloatArray  # (2, n) derivative of both by the state
+
+
+@compiled
+def is_heading_unknown(state: State) -> bool:
+    """Whether the heading is unknown, and not split into sectors yet: the tracks have not moved."""
+    return bool(not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+
+
+@compiled
+def unknown_heading_variance(state: State, source: int, c: Config) -> float:
+    """Variance of C by axis, m², about the position of a sensor, where linearisation by the heading fails."""
+    x, y = c.levers[source, 0], c.levers[source, 1]
+    return float(x * x + y * y) if is_heading_unknown(state) else 0.0
 
 
 @compiled
@@ -115,6 +129,18 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: flo
     _transform_position_covariance(P, arm.jacobian, sign)
     if above and sign > 0.0:
         _turn_heading(x, P, level, sign)
+
+
+@compiled
+def decouple_unknown_heading(state: State, source: int, c: Config) -> None:
+    """Set the covariance of an unknown heading and the position of a sensor at rest to 0, in place.
+
+    Linearised at any heading, each error of the tilt would turn the machine about a high antenna.
+    """
+    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
+    to_sensor(x, P, level, source, 1.0, c)
+    P[YAW, :YAW] = P[:YAW, YAW] = 0.0
+    to_sensor(x, P, level, source, -1.0, c)
 
 
 @compiled

@@ -13,6 +13,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import predicted_covariance
+from trackslip_estimation.slip.levers import unknown_heading_variance
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -21,11 +22,12 @@ from trackslip_estimation.slip.models.dispatch import (
     slips,
     slips_jacobian,
 )
-from trackslip_estimation.slip.models.model import SWING, SWING_RATE
+from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.motion import Motion, steady_speeds
 from trackslip_estimation.slip.records import TRACKS
 from trackslip_estimation.slip.source_faults import IS_MISCOUNTING
+from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.tilt import fill_tilt
 
 if TYPE_CHECKING:
@@ -53,6 +55,9 @@ def fill_motion(state: State, c: Config, estimate: EstimateRecord) -> None:
     """Fill pose, twist and slips of a record of ``ESTIMATE``, with covariances."""
     fill_outputs(state, c, estimate)
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
+    about_sensor = unknown_heading_variance(state, latest_pose_source(state, c), c)
+    for i in range(YAW):
+        estimate.pose_covariance[i, i] += about_sensor
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
         estimate.slip_covariance[2, 2] = _NO_DIRECTION
 

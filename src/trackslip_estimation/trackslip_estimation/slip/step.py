@@ -32,8 +32,9 @@ from trackslip_estimation.slip.coasting import (
     inflate_start_pose,
     set_unknown_speeds,
 )
-from trackslip_estimation.slip.events import ANY_HEADING, UNKNOWN_HEADING
+from trackslip_estimation.slip.events import ANY_HEADING
 from trackslip_estimation.slip.late_stamps import propagate_delay
+from trackslip_estimation.slip.levers import UNKNOWN_HEADING, decouple_unknown_heading, is_heading_unknown
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -99,6 +100,8 @@ def step(
         set_manual_pose(state, measurement)
         update.follows = False
     else:
+        if measurement.kind == POSE and is_heading_unknown(state):
+            decouple_unknown_heading(state, measurement.source, c)
         apply_measurement(state, measurement, c, update, prior)
         _clear_known_sector(state)
         _correct_height(state, update, prior)

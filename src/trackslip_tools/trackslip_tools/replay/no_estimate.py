@@ -12,7 +12,7 @@ from trackslip_bags.reader import Bag
 from trackslip_common.orientations import is_heading_known
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
-from trackslip_estimation.slip.events import UNKNOWN_HEADING
+from trackslip_estimation.slip.levers import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import SET_POSE, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import nonempty_names

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.orientations import headings_of
-from trackslip_estimation.slip.events import UNKNOWN_HEADING
+from trackslip_estimation.slip.levers import UNKNOWN_HEADING
 from trackslip_tools.replay.growing import GrowingRows
 
 _MOTION = ("v_x", "v_y", "yaw_rate")

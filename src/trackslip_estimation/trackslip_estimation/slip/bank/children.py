@@ -272,9 +272,9 @@ def _can_have_earlier_event(window: Window, p: int, k: int, c: Config) -> bool:
 
 @compiled
 def _is_slip_implausible(window: Window, p: int, k: int, c: Config) -> bool:
-    """Whether measurement k is a fix, and branch p has a slip outside its physical range before it."""
+    """Whether k is a fix, and the slip of branch p is 1 σ outside its physical range before it."""
     is_fix = window.measurements[k].kind == POSE
-    return bool(is_fix and slip_range_penalty(window.states[p, k - 1], c) > 0.0)
+    return bool(is_fix and slip_range_penalty(window.states[p, k - 1], c) > 0.5)
 
 
 @compiled

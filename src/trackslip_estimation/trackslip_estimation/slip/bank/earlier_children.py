@@ -27,11 +27,12 @@ from trackslip_estimation.slip.events import (
     STUCK,
     SWUNG,
     TURNED,
-    UNKNOWN_HEADING,
     WANDERS,
 )
+from trackslip_estimation.slip.levers import is_heading_unknown
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.models.slope import is_on_slope
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS, VELOCITY
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
 _LOG_SECTORS = math.log(HEADINGS)
 _FARTHER_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
 _FARTHER_STDDEVS = 3.0  # standard deviations of that displacement, beyond which it is longer
-_STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
 @compiled
@@ -82,7 +82,7 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
         make_failure_children(window, p, k, penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
         add_child_since_snapshot(window, p, k, NOISE, source, 0, 0.0, c)
-    if _is_steep(before) and has_velocity_errors(c):
+    if is_on_slope(before) and has_velocity_errors(c):
         add_child_since_snapshot(window, p, k, SLID, source, 0, 0.0, c)
 
 
@@ -156,7 +156,7 @@ def has_recent_fix(before: State, m: MeasurementRecord, c: Config) -> bool:
 @compiled
 def _is_heading_unknown(before: State) -> bool:
     """Whether the heading is unknown, or known to a sector of the circle only."""
-    return bool(before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+    return bool(before.is_sector or is_heading_unknown(before))
 
 
 @compiled
@@ -229,13 +229,6 @@ def _is_farther_than_tracks(window: Window, p: int, k: int, c: Config) -> bool:
 def are_track_speeds_measured(before: State) -> bool:
     """Whether the track speeds are measured, not extrapolated."""
     return bool(before.time_since_sample == 0.0 and not before.coasting)
-
-
-@compiled
-def _is_steep(state: State) -> bool:
-    """Whether the known slope is steep enough for the machine to slide."""
-    level = state.attitude.level
-    return bool(level.known == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
 
 
 @compiled

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
 from trackslip_estimation.slip.models.model import GYRO_BIAS
+from trackslip_estimation.slip.models.slope import is_on_slope
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, YAW_RATE_ERROR
 from trackslip_estimation.slip.records import TRACKS
 from trackslip_estimation.slip.source_faults import IS_FAILED, IS_MISCOUNTING, has_staying_fixes
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 PERIOD = 0.5  # s, correlation time of the motion
+_MOST_LEVEL_SLIP = 1.0  # i₀ of a stuck machine
 _LEAST_RATE = 0.1  # rad/s, of D in a turn
 _LEAST_EFFICIENCY = 0.25  # e/(1 − i₀) of a machine with long tracks on ground that grips well
 _LARGEST_REDUCTION = 3.0  # by an implausible turn: the machine lags behind its tracks, and encoders err
@@ -61,6 +63,8 @@ def slip_range_penalty(state: State, c: Config) -> float:
     if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
         return 0.0
     low, high = c.bank.least_slip, c.bank.most_slip
+    if state.attitude.level.known == 1 and not is_on_slope(state):
+        high = _MOST_LEVEL_SLIP
     excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
     variance = c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
     return float(excess * excess / (2.0 * variance))

@@ -39,9 +39,9 @@ from trackslip_estimation.slip.bank.receivers import (
 )
 from trackslip_estimation.slip.bank.script import apply_scripted_events, record_event
 from trackslip_estimation.slip.correlated_errors import reset_receiver
-from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEADING
+from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED
 from trackslip_estimation.slip.finite import is_finite_state
-from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.levers import is_heading_unknown
 from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
@@ -148,7 +148,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
 def is_moving_without_heading(state: State) -> bool:
     """Whether tracks move and the heading is unknown; at rest no prediction depends on the heading."""
     moves = not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0)
-    return bool(moves and not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+    return bool(moves and is_heading_unknown(state))
 
 
 @compiled

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 Twist = tuple[float, float, float]
 
+_STEEP = 0.1  # sine of a slope on which a machine may slide
 _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
 _SLIDE_WALK = 0.05  # 1/√s, random walk of k, as a share of k
 _SLIDE_LAG = 0.5  # s, correlation time of the error of its speed after a change of the tracks'
@@ -74,6 +75,13 @@ def track_speed(speeds: tuple[float, float], c: Config) -> float:
     """U, m/s."""
     U: float = c.rolling_radius * (abs(speeds[0]) + abs(speeds[1])) / 2.0
     return U
+
+
+@compiled
+def is_on_slope(state: State) -> bool:
+    """Whether the known slope is steep enough for the machine to slide."""
+    level = state.attitude.level
+    return bool(level.known == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
 
 
 @compiled

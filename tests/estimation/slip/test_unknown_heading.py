@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A start with one antenna: an unknown heading at rest, and how it is found while the machine moves off."""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from trackslip_common.units import GRAVITY
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+RADIUS, TRACK_SPEED = 0.159, 0.55  # m, m/s
+LEVER = (-1.2, 0.6, 3.0)  # m, of the antenna on the roof of a cab
+HEADING = 2.0  # rad
+REST = 10.0  # s, before the tracks run
+FIX, ACCELERATION = 0.02, 0.05  # m, m/s²: standard deviations
+COVARIANCE = np.diag((FIX**2, FIX**2, 1e6))
+INSIDE = 11.83  # χ² of two dimensions with the probability of 3 σ in one
+PARAMETERS = {
+    "pose_sources": ["gnss_pose"],
+    "sources.gnss_pose.use_heading": False,
+    "sources.gnss_pose.lever_arm_x": LEVER[0],
+    "sources.gnss_pose.lever_arm_y": LEVER[1],
+    "sources.gnss_pose.lever_arm_z": LEVER[2],
+}
+
+
+class Moment(NamedTuple):
+    """Time since the first sample, s; measurements with this stamp; and the truth."""
+
+    t: float
+    measurements: list[Measurement]
+    position: tuple[float, float]
+
+
+def start(seed: int, speed: Callable[[float], float], seconds: float) -> Iterator[Moment]:
+    """Rest on level ground, then straight on at ``speed`` of the time since then; tracks at TRACK_SPEED."""
+    rng, c, s = np.random.default_rng(seed), math.cos(HEADING), math.sin(HEADING)
+    antenna, distance = np.array((c * LEVER[0] - s * LEVER[1], s * LEVER[0] + c * LEVER[1])), 0.0
+    for k in range(round((REST + seconds) * 50)):
+        t, stamp_ns = k * 0.02, (k + 1) * 20_000_000
+        turns = TRACK_SPEED / RADIUS if t >= REST else 0.0
+        f_x, f_y, f_z = rng.normal((0.0, 0.0, GRAVITY), ACCELERATION).tolist()
+        p, q, r = rng.normal(0.0, 0.003, 3).tolist()
+        found: list[Measurement] = [Sprockets("sprockets", stamp_ns, turns, turns)]
+        found.append(
+            YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), ACCELERATION**2)
+        )
+        if k % 5 == 0:
+            east, north = rng.normal(antenna + np.array((c, s)) * distance, FIX)
+            found.append(PoseFix("gnss_pose", stamp_ns, np.array((east, north, 0.0)), COVARIANCE))
+        yield Moment(t, found, (c * distance, s * distance))
+        distance += speed(t - REST) * 0.02 if t >= REST else 0.0
+
+
+def estimates(moments: Iterator[Moment]) -> Iterator[tuple[Moment, Estimate]]:
+    own = SlipEstimator(load_slip_parameters(PARAMETERS))
+    for moment in moments:
+        for m in moment.measurements:
+            estimate = own.process(m)[1]
+            if estimate is not None:
+                yield moment, estimate
+
+
+def heading_error(e: Estimate) -> float:
+    return abs(math.remainder(e.pose[2] - HEADING, math.tau))
+
+
+def is_inside(moment: Moment, e: Estimate) -> bool:
+    d = e.pose[:2] - moment.position
+    return bool(d @ np.linalg.solve(e.pose_covariance[:2, :2], d) < INSIDE)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fixes_of_a_high_antenna_do_not_show_the_heading_of_a_machine_at_rest(seed: int) -> None:
+    """The tilt is found meanwhile: it moves the antenna's estimate, in the direction of the heading."""
+    for moment, e in estimates(start(seed, lambda _: 0.0, 0.0)):
+        assert math.sqrt(e.pose_covariance[2, 2]) > 1.5
+        assert is_inside(moment, e)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_heading_is_found_while_the_tracks_grip_slowly(seed: int) -> None:
+    """A slip of 100 % that vanishes is, at the reversed heading, one of more than 100 %."""
+    *_, (moment, e) = estimates(start(seed, lambda t: min(0.14 * t, 0.5), 6.0))
+    assert heading_error(e) < 0.1
+    assert math.sqrt(e.pose_covariance[2, 2]) < 0.1
+    assert is_inside(moment, e)
