@@ -150,7 +150,7 @@ def test_only_observations_and_weighing_update_a_state() -> None:
                 for name in node.names:
                     users.setdefault(name.name, set()).add(str(file.relative_to(ESTIMATION)))
     corrects = {"observations/altitude.py", "observations/gyro.py", "observations/odometry.py"}
-    corrects |= {"observations/slips.py", "weighing.py"}
+    corrects |= {"observations/slips.py", "tilt.py", "weighing.py"}
     attitude = {"attitude/filter.py", "attitude/orientation.py"}
     assert users["correct"] == {f"slip/{name}" for name in corrects} | attitude
     assert users["propagate_covariance"] == {"slip/step.py", "attitude/filter.py"}

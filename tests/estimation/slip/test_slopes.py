@@ -31,6 +31,7 @@ from trackslip_estimation.slip.records import STATE
 
 MS, R = 1_000_000, 0.159
 HEIGHT = 2.0  # m, of an antenna
+INSIDE = 11.83  # χ² of two dimensions with the probability of 3 σ in one
 GROUP = "sources.box_pose."
 RECEIVER = {  # fixes of a receiver
     "sources__box_pose__fault_rate": 1 / 300,
@@ -309,6 +310,25 @@ def test_tilt_of_a_silent_imu_becomes_unknown_and_the_height_with_it() -> None:
     assert SILENT + 2.0 < max(silence) < SILENT + 15.0
     assert math.sqrt(P[1, 1]) < math.radians(1.0)
     assert 0.3 < math.sqrt(P[2, 2]) < 4.0  # the machine has climbed 2.5 m
+
+
+@pytest.mark.parametrize("silence", [(0.0, 20.0), (10.0, 40.0)])
+def test_position_is_inside_its_covariance_while_the_imu_of_a_high_antenna_is_silent(
+    silence: tuple[float, float],
+) -> None:
+    """On a side slope of 15° the antenna is 0.5 m beside the machine."""
+    begin, end = silence
+    own, inside = estimator(sources__box_pose__lever_arm_z=HEIGHT), list[bool]()
+    for m in drive(0.0, math.radians(15.0), 60.0, HEIGHT):
+        t = m.stamp_ns * 1e-9
+        if isinstance(m, YawRate) and begin <= t < end:
+            continue
+        e = own.process(m)[1]
+        if e is not None:
+            d = e.pose[:2] - (0.4 * max(t - 5.05, 0.0), 0.0)
+            inside.append(bool(d @ np.linalg.solve(e.pose_covariance[:2, :2], d) < INSIDE))
+    assert np.mean(inside) > 0.97
+    assert np.hypot(*d) < 0.03
 
 
 def test_status_names_a_silent_imu() -> None:

@@ -37,6 +37,8 @@ from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME
 
 ConfigRecord = NDArray[np.void]
 
+_INITIAL_TILT = 0.2  # rad, standard deviation of a tilt that an IMU has not measured yet
+
 
 class Config(Record):
     """All constants of the estimator."""
@@ -106,8 +108,8 @@ class Config(Record):
     yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # state of the heading or swing angle offset; −1: none
     source_states: Annotated[IntArray, MOST_SOURCES]  # state of the gyro bias or odometry scale; −1: none
     lean_errors: int  # first of two states of tilt errors, over their standard deviation; −1: none
-    lean_stddev: float  # of the correlated tilt error, rad
-    error_decays: Annotated[FloatArray, (SIZE, 2)]  # of a state of variance 1, 1/s and 1/m; 0: random walk
+    lean_stddevs: Annotated[FloatArray, 2]  # rad, of an unknown slope, and of a known tilt
+    lean_decays: Annotated[FloatArray, (2, 2)]  # of both errors, 1/s and 1/m
     mountings: Annotated[
         FloatArray, (MOST_SOURCES, 4)
     ]  # of odometry: quaternion from its axes to base_link's, x, y, z, w
@@ -270,13 +272,14 @@ def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[s
             c["process_noise"][..., index] = walk
             index += 1
     if p.has_tilt_states:
-        c["lean_errors"], c["lean_stddev"] = index, p.attitude.accelerometer_bias_stddev / GRAVITY
-        decay = 1.0 / LEAN_TIME, 0.0
-        if p.tilt_source is None:
-            c["lean_stddev"], decay = p.attitude.unknown_slope, (0.0, 1.0 / p.attitude.unknown_slope_length)
+        slope = p.attitude.unknown_slope
+        c["lean_errors"] = index
+        c["lean_stddevs"] = slope, p.attitude.accelerometer_bias_stddev / GRAVITY
+        c["lean_decays"] = (0.0, 1.0 / p.attitude.unknown_slope_length), (1.0 / LEAN_TIME, 0.0)
+        is_measured_soon = p.tilt_source is not None and slope > 0.0
+        variance = (_INITIAL_TILT / slope) ** 2 if is_measured_soon else 1.0
         for axis in (index, index + 1):
-            c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = 1.0
-            c["error_decays"][axis] = decay
+            c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = variance
         index += 2
     if index > SENSOR_ERRORS:
         c["active"] = c["size"] = index

@@ -103,8 +103,8 @@ def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
     if above:
         J[X, SWING], J[Y, SWING] = cos * by_ahead - sin * by_left, sin * by_ahead + cos * by_left
     if c.lean_errors >= 0 and c.levers[source, 2] != 0.0:
-        e, stddev = c.lean_errors, c.levers[source, 2] * c.lean_stddev
-        if c.tilt_source < 0:
+        e, stddev = c.lean_errors, c.levers[source, 2] * c.lean_stddevs[level.known]
+        if level.known == 0:
             slope_east, slope_north = stddev * x[e], stddev * x[e + 1]
             J[X, e] = J[Y, e + 1] = stddev
         else:
@@ -180,7 +180,7 @@ def _turn_heading(x: FloatArray, P: FloatArray, level: Level, sign: float) -> No
 @compiled
 def unmodelled_tilt_variance(level: Level, source: int, c: Config) -> float:
     """Variance of a sensor's position by axis, m², by the part of the tilt error that is no state."""
-    variance = max(level.lean_variance - c.lean_stddev**2, 0.0)
+    variance = max(level.lean_variance - c.lean_stddevs[1] ** 2, 0.0)
     return float(c.levers[source, 2] ** 2 * variance)
 
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-_UNKNOWN_TILT = 0.2  # rad, standard deviation of an unknown tilt
-
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
 
 
@@ -98,9 +96,6 @@ def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) 
                 P[YAW, YAW] += P[SWING, SWING]
                 P[YAW, SWING] = P[SWING, YAW] = P[SWING, SWING]
             to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
-            if c.tilt_source >= 0:  # the tilt is not known yet
-                for i in range(YAW):
-                    P[i, i] += (c.levers[source, 2] * _UNKNOWN_TILT) ** 2
     set_zero_speeds(state.speeds)
     reset_motion(state.motion)
     state.shear[:] = 0.0

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.attitude.filter import propagate_silence
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
 from trackslip_estimation.kalman import daf
 from trackslip_estimation.kalman.linear_algebra import copy_square, used_size
@@ -59,7 +58,11 @@ from trackslip_estimation.slip.sprockets import (
     set_zero_speeds,
     store_sample,
 )
-from trackslip_estimation.slip.tilt import correct_height_by_position, propagate_height_by_twist
+from trackslip_estimation.slip.tilt import (
+    correct_height_by_position,
+    propagate_height_by_twist,
+    propagate_silent_tilt,
+)
 from trackslip_estimation.slip.update import apply_measurement
 
 if TYPE_CHECKING:
@@ -152,7 +155,7 @@ def propagate_with_sprockets(state: State, closing: MeasurementRecord, stamp_ns:
         if closes_interval and state.fault[TRACKS] != IS_FAILED:
             set_interval_speeds(state.sample, closing, c, state.speeds)
     state.stamp_ns = stamp_ns
-    propagate_silence(state.attitude, stamp_ns, c.attitude)
+    propagate_silent_tilt(state, stamp_ns, c)
 
 
 @compiled

@@ -13,26 +13,41 @@ unmodelled slip changes the height, too.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.filter import (
     climb_rate,
     has_force,
     propagate_height,
+    propagate_silence,
     specific_force,
     update_with_sample,
 )
 from trackslip_estimation.attitude.level import climb_rate_variance
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
+from trackslip_estimation.kalman.single_state import replace_state
+from trackslip_estimation.kalman.update import correct, independent_observation
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_twist
 from trackslip_estimation.slip.models.model import GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
 
 if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Level
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import EstimateRecord, MeasurementRecord, State
+
+
+class Lean(NamedTuple):
+    """Displacement of a point above C by the tilt, per m of height, ahead and to the left."""
+
+    known: int  # 0 or 1
+    x: float
+    y: float
+    variance: float  # of both
 
 
 @compiled
@@ -61,7 +76,48 @@ def update_attitude(state: State, measurement: MeasurementRecord, bias: int, c: 
         swing_lever(imu, state.mean[SWING_RATE], c)
         imu.rates[2] = rate  # the rate of the IMU contains the swing, before the state does
     imu.known_velocity = 0 if state.coasting else 1
-    return int(update_with_sample(a, c.attitude))
+    before = _lean_of(a.level)
+    rejection = int(update_with_sample(a, c.attitude))
+    _exchange_tilt_errors(state, before, c)
+    return rejection
+
+
+@compiled
+def propagate_silent_tilt(state: State, stamp_ns: int, c: Config) -> None:
+    """Propagate the attitude to a stamp at which its IMU has been silent for some time."""
+    before = _lean_of(state.attitude.level)
+    propagate_silence(state.attitude, stamp_ns, c.attitude)
+    _exchange_tilt_errors(state, before, c)
+
+
+@compiled
+def _lean_of(level: Level) -> Lean:
+    return Lean(level.known, level.lean_x, level.lean_y, level.lean_variance)
+
+
+@compiled
+def _exchange_tilt_errors(state: State, before: Lean, c: Config) -> None:
+    """Exchange the errors of a known tilt for the slope of the ground, or back, as the tilt is lost or found.
+
+    A tilt that is found measures the slope; one that is lost is the first estimate of it.
+    """
+    now = _lean_of(state.attitude.level)
+    if c.lean_errors < 0 or now.known == before.known:
+        return
+    e, stddev, x, P = c.lean_errors, c.lean_stddevs[0], state.mean[: c.size], state.covariance[:]
+    lean = now if now.known == 1 else before
+    cos, sin = math.cos(x[YAW]), math.sin(x[YAW])
+    slope = np.array((cos * lean.x - sin * lean.y, sin * lean.x + cos * lean.y))
+    variance = lean.variance + min(P[YAW, YAW], 1.0) * (lean.x**2 + lean.y**2)
+    if now.known == 1 and stddev > 0.0:
+        H = np.zeros((2, x.size))
+        H[X, e] = H[Y, e + 1] = stddev
+        correct(x, P, independent_observation(slope - stddev * x[e : e + 2], H, variance * np.eye(2)))
+    for axis in (X, Y):
+        if now.known == 1 or stddev == 0.0:
+            replace_state(x, P, e + axis, 0.0, 1.0)
+        else:
+            replace_state(x, P, e + axis, slope[axis] / stddev, variance / stddev**2)
 
 
 @compiled

@@ -30,7 +30,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
 from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turning
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
-from trackslip_estimation.slip.models.model import DOWNHILL, SENSOR_ERRORS, YAW, X, Y
+from trackslip_estimation.slip.models.model import DOWNHILL, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, TURN_STATE_1, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, propagate_swing
@@ -38,6 +38,7 @@ from trackslip_estimation.slip.models.turning import TurningNoise
 from trackslip_estimation.slip.motion import Motion
 
 if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Level
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
@@ -175,15 +176,17 @@ def propagate_mean(x: FloatArray, state: State, dt: float, c: Config) -> FloatAr
             moved[i] = x[i] * rho
     if c.swings:
         propagate_swing(x, moved, dt, state, c)
-    for i in range(SENSOR_ERRORS, x.size):
-        moved[i] *= sensor_error_persistence(i, dt, v_x, c)
+    if c.lean_errors >= 0:
+        for i in range(c.lean_errors, c.lean_errors + 2):
+            moved[i] *= _lean_persistence(dt, v_x, state.attitude.level, c)
     return moved
 
 
 @compiled
-def sensor_error_persistence(i: int, dt: float, speed: float, c: Config) -> float:
-    """Share of state ``i``, the error of a sensor, that is left after dt at a speed of the machine, m/s."""
-    return math.exp(-dt * (c.error_decays[i, 0] + abs(speed) * c.error_decays[i, 1]))
+def _lean_persistence(dt: float, speed: float, level: Level, c: Config) -> float:
+    """Share of a tilt error that is left after dt at a speed of the machine, m/s."""
+    by_time, by_distance = c.lean_decays[level.known]
+    return math.exp(-dt * (by_time + abs(speed) * by_distance))
 
 
 @compiled
@@ -242,10 +245,10 @@ def linearize(
     if c.swings:
         propagate_swing(x, moved, dt, state, c)
         linearize_swing(x, F, Q, dt, state, c)
-    for i in range(SENSOR_ERRORS, n):
-        if c.error_decays[i].any():
-            F[i, i] = sensor_error_persistence(i, dt, v_x, c)
-            moved[i], Q[i, i] = x[i] * F[i, i], 1.0 - F[i, i] ** 2
+    if c.lean_errors >= 0:
+        share = _lean_persistence(dt, v_x, state.attitude.level, c)
+        for i in range(c.lean_errors, c.lean_errors + 2):
+            F[i, i], moved[i], Q[i, i] = share, x[i] * share, 1.0 - share * share
     return moved, F, Q
 
 
