@@ -11,14 +11,14 @@ import pytest
 
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, VelocityFix, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 RADIUS, TRACK_SPEED = 0.159, 0.55  # m, m/s
 LEVER = (-1.2, 0.6, 3.0)  # m, of the antenna on the roof of a cab
 HEADING = 2.0  # rad
 REST = 10.0  # s, before the tracks run
-FIX, ACCELERATION = 0.02, 0.05  # m, m/s²: standard deviations
+FIX, FIX_VELOCITY, ACCELERATION = 0.02, 0.02, 0.05  # m, m/s, m/s²: standard deviations
 COVARIANCE = np.diag((FIX**2, FIX**2, 1e6))
 INSIDE = 11.83  # χ² of two dimensions with the probability of 3 σ in one
 PARAMETERS = {
@@ -54,14 +54,20 @@ def start(seed: int, speed: Callable[[float], float], seconds: float) -> Iterato
         if k % 5 == 0:
             east, north = rng.normal(antenna + np.array((c, s)) * distance, FIX)
             found.append(PoseFix("gnss_pose", stamp_ns, np.array((east, north, 0.0)), COVARIANCE))
+            velocity = rng.normal(np.array((c, s)) * (speed(t - REST) if t >= REST else 0.0), FIX_VELOCITY)
+            found.append(VelocityFix("fix_velocity", stamp_ns, velocity, FIX_VELOCITY**2 * np.eye(2)))
         yield Moment(t, found, (c * distance, s * distance))
         distance += speed(t - REST) * 0.02 if t >= REST else 0.0
 
 
-def estimates(moments: Iterator[Moment]) -> Iterator[tuple[Moment, Estimate]]:
-    own = SlipEstimator(load_slip_parameters(PARAMETERS))
+def estimates(moments: Iterator[Moment], has_velocities: bool) -> Iterator[tuple[Moment, Estimate]]:
+    """Estimates from positions, and from velocities of the antenna if the receiver has them."""
+    sources = ["fix_velocity"] if has_velocities else []
+    own = SlipEstimator(load_slip_parameters({**PARAMETERS, "velocity_sources": sources}))
     for moment in moments:
         for m in moment.measurements:
+            if isinstance(m, VelocityFix) and not has_velocities:
+                continue
             estimate = own.process(m)[1]
             if estimate is not None:
                 yield moment, estimate
@@ -76,18 +82,22 @@ def is_inside(moment: Moment, e: Estimate) -> bool:
     return bool(d @ np.linalg.solve(e.pose_covariance[:2, :2], d) < INSIDE)
 
 
+@pytest.mark.parametrize("has_velocities", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_fixes_of_a_high_antenna_do_not_show_the_heading_of_a_machine_at_rest(seed: int) -> None:
-    """The tilt is found meanwhile: it moves the antenna's estimate, in the direction of the heading."""
-    for moment, e in estimates(start(seed, lambda _: 0.0, 0.0)):
+def test_fixes_of_a_high_antenna_do_not_show_the_heading_of_a_machine_at_rest(
+    seed: int, has_velocities: bool
+) -> None:
+    """The tilt is found meanwhile, and the gyro is noisy: both move the antenna's estimate by the heading."""
+    for moment, e in estimates(start(seed, lambda _: 0.0, 0.0), has_velocities):
         assert math.sqrt(e.pose_covariance[2, 2]) > 1.5
         assert is_inside(moment, e)
 
 
+@pytest.mark.parametrize("has_velocities", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_heading_is_found_while_the_tracks_grip_slowly(seed: int) -> None:
+def test_heading_is_found_while_the_tracks_grip_slowly(seed: int, has_velocities: bool) -> None:
     """A slip of 100 % that vanishes is, at the reversed heading, one of more than 100 %."""
-    *_, (moment, e) = estimates(start(seed, lambda t: min(0.14 * t, 0.5), 6.0))
+    *_, (moment, e) = estimates(start(seed, lambda t: min(0.14 * t, 0.5), 6.0), has_velocities)
     assert heading_error(e) < 0.1
     assert math.sqrt(e.pose_covariance[2, 2]) < 0.1
     assert is_inside(moment, e)

@@ -102,6 +102,7 @@ class Event(IntEnum):
 
 HEADINGS = 8  # branches of an unknown heading, one for each sector of the circle
 ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of a uniform heading
+REVERSED = HEADINGS // 2  # ``part``: half a turn
 MEASURED = -1  # ``part``: the heading is that of a compass
 LOST = 1  # ``part``: half of the counts of the sprockets are lost
 STUCK = 1  # ``part``: both tracks slip by 100 %

@@ -285,6 +285,7 @@ class Branch(Record):
     first: int  # entry of the first step for this row
     fresh: int  # 0 or 1: created by this measurement
     cusum: Annotated[FloatArray, 4]  # of innovations: ahead, behind, left, right
+    slip_cost: float  # by which an implausible slip has lowered w since it was plausible
     snapshots: Annotated[Table[Snapshot], 2]
 
 

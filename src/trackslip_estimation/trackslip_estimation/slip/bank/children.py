@@ -153,7 +153,10 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     for unit in range(MOST_SOURCES):
         if measurement.kind in (POSE, VELOCITY) and is_failed(state.fault[unit]):
             branch.weight -= elapsed_s / c.events.fault_time
-    branch.weight -= implausibility(state, c) * min(elapsed_s / PERIOD, 1.0)
+    periods = min(elapsed_s / PERIOD, 1.0)
+    slip_cost = slip_range_penalty(state, c) * periods
+    branch.slip_cost = branch.slip_cost + slip_cost if slip_cost > 0.0 else 0.0
+    branch.weight -= implausibility(state, c) * periods
     follows = measurement.kind == POSE and is_displacement_measured(fault)
     if measurement.kind == VELOCITY:  # at standstill slip is not observable
         follows = fault == IS_HEALTHY and state.motion.motion != _STANDING

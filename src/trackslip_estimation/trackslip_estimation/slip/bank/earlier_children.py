@@ -8,7 +8,12 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.child import add_child, add_child_since_snapshot, distance_since_snapshot
+from trackslip_estimation.slip.bank.child import (
+    add_child,
+    add_child_since_snapshot,
+    distance_since_snapshot,
+    log_time_since_snapshot,
+)
 from trackslip_estimation.slip.bank.plausibility import is_stuck
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of
@@ -21,6 +26,7 @@ from trackslip_estimation.slip.events import (
     NOISE,
     OFFSET,
     REPEATS,
+    REVERSED,
     SLID,
     SLIPPED,
     STAYS,
@@ -102,9 +108,12 @@ def make_sector_children(
         for part in range(HEADINGS):
             add_child_since_snapshot(window, p, k, SWUNG, source, part, -_LOG_SECTORS, c)
     if (contradicts and update.dof > YAW) or ((contradicts or implausible) and has_moved):
-        penalty = correlated_penalty(window, p, k, c)
-        for part in range(HEADINGS):
-            add_child_since_snapshot(window, p, k, TURNED, source, part, -_LOG_SECTORS - penalty, c)
+        prior = log_time_since_snapshot(window, p, k, c) + c.log_rates[TURNED, source] - _LOG_SECTORS
+        prior -= correlated_penalty(window, p, k, c)
+        cost = window.branches[p, k - 1].slip_cost if before.mean[COMMON_SLIP] > 1.0 else 0.0
+        for part in range(HEADINGS):  # the reversed machine has not had the slip that cost the parent
+            log_prior = max(prior, min(prior + cost, 0.0)) if part == REVERSED else prior
+            add_child(window, p, k, TURNED, source, part, True, log_prior, c)
 
 
 @compiled

@@ -30,6 +30,7 @@ from trackslip_estimation.slip.events import (
     OUTLIER,
     RECOVERED,
     REPEATS,
+    REVERSED,
     SCATTERS,
     SKIDDED,
     SLID,
@@ -306,8 +307,11 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     to_sensor(x, P, level, about, 1.0, c)
     reset_states = _POSITION | _reset_state(state, YAW, heading, variance, c)
     if has_velocity_errors(c):
+        slip, slip_variance = x[COMMON_SLIP], P[COMMON_SLIP, COMMON_SLIP]
         for k in _LEARNED_BY_HEADING:
             reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
+        if e.part == REVERSED and slip > 1.0:  # the reversed machine moves in the same direction
+            reset_states |= _reset_state(state, COMMON_SLIP, 2.0 - slip, slip_variance, c)
         reset_delay(state, c)
     to_sensor(x, P, level, about, -1.0, c)
     return reset_states

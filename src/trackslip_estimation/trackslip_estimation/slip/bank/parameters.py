@@ -70,7 +70,7 @@ class BankParameters(Parameters):
     least_slip: float = parameter(
         "smallest common slip: on level ground a machine hardly moves faster than its tracks"
     )
-    most_slip: float = parameter("largest common slip")
+    most_slip: float = parameter("largest common slip on a slope, or where the tilt is unknown; else 1")
 
 
 @dataclass(frozen=True, kw_only=True)
