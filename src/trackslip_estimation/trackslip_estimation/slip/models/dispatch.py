@@ -232,7 +232,7 @@ def linearize(
         growth = speed.error_growth(dt, state.motion.motion, c)
         _add_velocity_errors(F, Q, J, speed.error_variances(x, P, state, c), growth, (rho, mean_share))
         speed.add_track_error(Q, halfway, dt, state, c)
-        slope.add_slide_lag(Q, halfway, dt, state, c)
+        slope.add_slide_noise(Q, halfway, dt, state, c)
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
             moved[i] = x[i] * rho
     else:

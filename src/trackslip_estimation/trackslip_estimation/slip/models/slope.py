@@ -42,6 +42,7 @@ _STEEP = 0.1  # sine of a slope on which a machine may slide
 _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
 _SLIDE_WALK = 0.05  # 1/√s, random walk of k, as a share of k
 _SLIDE_LAG = 0.5  # s, correlation time of the error of its speed after a change of the tracks'
+_TILT_TIME = 10.0  # s, correlation time of the error of its direction by that of the tilt
 _GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
 _AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
 _DIRECTION_CHANGE = 0.1  # change of the sine of the slope driven down at which k is inflated
@@ -147,14 +148,17 @@ def add_slope_noise(Q: FloatArray, dt: float, is_turning: bool, k: float, level:
 
 
 @compiled
-def add_slide_lag(Q: FloatArray, heading: float, dt: float, state: State, c: Config) -> None:
-    """Add the position error of a slide to Q while its speed follows a changed track speed."""
-    level, change = state.attitude.level, state.mean[DOWNHILL] * c.rolling_radius * state.motion.departure
+def add_slide_noise(Q: FloatArray, heading: float, dt: float, state: State, c: Config) -> None:
+    """Add the position error of a slide to Q: while it follows the tracks, and by errors of the tilt."""
+    level, k, speeds = state.attitude.level, state.mean[DOWNHILL], state.speeds
+    change = k * c.rolling_radius * state.motion.departure
     cos, sin = math.cos(heading), math.sin(heading)
     east = change * (cos * level.downhill_x - sin * level.downhill_y)
     north = change * (sin * level.downhill_x + cos * level.downhill_y)
     squared_time = 2.0 * _SLIDE_LAG * dt
-    Q[X, X] += squared_time * east * east
-    Q[Y, Y] += squared_time * north * north
+    per_slope = k * track_speed((speeds.left, speeds.right), c)
+    by_tilt = 2.0 * _TILT_TIME * dt * per_slope * per_slope * level.lean_variance
+    Q[X, X] += squared_time * east * east + by_tilt
+    Q[Y, Y] += squared_time * north * north + by_tilt
     Q[X, Y] += squared_time * east * north
     Q[Y, X] += squared_time * east * north
