@@ -53,8 +53,10 @@ def is_heading_unknown(state: State) -> bool:
 @compiled
 def unknown_heading_variance(state: State, source: int, c: Config) -> float:
     """Variance of C by axis, m², about the position of a sensor, where linearisation by the heading fails."""
-    x, y = c.levers[source, 0], c.levers[source, 1]
-    return float(x * x + y * y) if is_heading_unknown(state) else 0.0
+    if not is_heading_unknown(state):
+        return 0.0
+    x, y, _, _ = swung_lever_arm(state.mean[SWING], source, c)
+    return float(x * x + y * y)
 
 
 @compiled
