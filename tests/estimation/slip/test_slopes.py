@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.imu_samples import imu_sample
+from fixtures.pose_errors import THREE_SIGMA, position_nees
 from fixtures.records import assert_order_does_not_matter
 
 from trackslip_common.nodes.messages import make
@@ -31,7 +33,6 @@ from trackslip_estimation.slip.records import STATE
 
 MS, R = 1_000_000, 0.159
 HEIGHT = 2.0  # m, of an antenna
-INSIDE = 11.83  # χ² of two dimensions with the probability of 3 σ in one
 GROUP = "sources.box_pose."
 RECEIVER = {  # fixes of a receiver
     "sources__box_pose__fault_rate": 1 / 300,
@@ -60,12 +61,8 @@ def drive(heading: float, slope: float, seconds: float = 20.0, antenna: float = 
     )
     for k in range(round(seconds * 20)):
         stamp_ns, distance = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
-        f_x, f_y, f_z = (force + rng.normal(0.0, 0.05, 3)).tolist()
-        p, q, r = rng.normal(0.0, 0.003, 3).tolist()
-        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
-        found.append(
-            YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), 0.0025)
-        )
+        sample = imu_sample(stamp_ns, force, 0.0, rng)
+        found += [Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)), sample]
         if k % 20 == 0:
             pose = np.array((*(distance * math.cos(pitch) * np.array((c, s)) + offset), heading))
             found.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
@@ -281,13 +278,8 @@ def over_a_ramp() -> tuple[list[Measurement], dict[int, tuple[float, float]]]:
         truth[stamp_ns] = pitch, z
         found.append(Sprockets("sprockets", stamp_ns, 0.4 / R, 0.4 / R))
         if not SILENT <= t < BACK:
-            force = GRAVITY * np.array((-math.sin(pitch), 0.0, math.cos(pitch))) + rng.normal(0.0, 0.05, 3)
-            f_x, f_y, f_z = force.tolist()
-            p, q, r = rng.normal((0.0, rate, 0.0), 0.003).tolist()
-            rates, variances = (p, q), (9e-6, 9e-6)
-            found.append(
-                YawRate("imu/data_raw", stamp_ns, r, 9e-6, rates, variances, (f_x, f_y, f_z), 0.0025)
-            )
+            force = GRAVITY * np.array((-math.sin(pitch), 0.0, math.cos(pitch)))
+            found.append(imu_sample(stamp_ns, force, rate, rng))
         if k % 20 == 0:
             found.append(PoseFix("box_pose", stamp_ns, np.array((x, 0.0, 0.0)), np.diag((4e-4, 4e-4, 1e-4))))
         x, z = x + 0.4 * math.cos(pitch) * 0.05, z - 0.4 * math.sin(pitch) * 0.05
@@ -325,10 +317,10 @@ def test_position_is_inside_its_covariance_while_the_imu_of_a_high_antenna_is_si
             continue
         e = own.process(m)[1]
         if e is not None:
-            d = e.pose[:2] - (0.4 * max(t - 5.05, 0.0), 0.0)
-            inside.append(bool(d @ np.linalg.solve(e.pose_covariance[:2, :2], d) < INSIDE))
+            position = np.array((0.4 * max(t - 5.05, 0.0), 0.0))
+            inside.append(position_nees(e, position) < THREE_SIGMA)
     assert np.mean(inside) > 0.97
-    assert np.hypot(*d) < 0.03
+    assert np.hypot(*(own.estimate().pose[:2] - position)) < 0.03
 
 
 def test_status_names_a_silent_imu() -> None:
@@ -356,12 +348,8 @@ def slide_down(heading: float, bias: float = 0.0) -> tuple[list[Measurement], di
         steady = 1.0 - 0.15 * math.sin(0.5 * (t - 5.0)) if spins else 0.0
         speed += min(max(steady - speed, -0.7 * 0.05), 0.5 * 0.05)  # within 2 s and 1.4 s
         y, turned, truth[stamp_ns] = y - speed * math.cos(slope) * 0.05, turned + spins * 0.05 / R, y
-        f_x, f_y, f_z = (force + rng.normal(0.0, 0.05, 3)).tolist()
-        p, q, r = rng.normal(0.0, 0.003, 3).tolist()
-        given.append(Sprockets("sprockets", stamp_ns, spins / R, spins / R, (turned, turned)))
-        given.append(
-            YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), 0.0025)
-        )
+        sample = imu_sample(stamp_ns, force, 0.0, rng)
+        given += [Sprockets("sprockets", stamp_ns, spins / R, spins / R, (turned, turned)), sample]
         if k % 4 == 0:
             pose = np.array((*rng.normal((0.0, y), 0.02), rng.normal(heading, 0.01)))
             given.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
@@ -376,7 +364,7 @@ def test_fixes_follow_a_slide_that_slows_down_and_stops_after_the_tracks() -> No
         if e is not None:
             error = e.pose[:2] - (0.0, truth[e.stamp_ns])
             errors.append(math.hypot(*error))
-            nees.append(error @ np.linalg.solve(e.pose_covariance[:2, :2], error))
+            nees.append(position_nees(e, np.array((0.0, truth[e.stamp_ns]))))
     assert np.mean(nees) < 5.0
     assert max(errors) < 0.3
 

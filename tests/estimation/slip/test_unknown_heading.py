@@ -8,19 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from fixtures.imu_samples import imu_sample
+from fixtures.pose_errors import THREE_SIGMA, position_nees
 
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, VelocityFix, YawRate
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, VelocityFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 RADIUS, TRACK_SPEED = 0.159, 0.55  # m, m/s
 LEVER = (-1.2, 0.6, 3.0)  # m, of the antenna on the roof of a cab
 HEADING = 2.0  # rad
 REST = 10.0  # s, before the tracks run
-FIX, FIX_VELOCITY, ACCELERATION = 0.02, 0.02, 0.05  # m, m/s, m/s²: standard deviations
+FIX, FIX_VELOCITY = 0.02, 0.02  # m, m/s: standard deviations
 COVARIANCE = np.diag((FIX**2, FIX**2, 1e6))
-INSIDE = 11.83  # χ² of two dimensions with the probability of 3 σ in one
 PARAMETERS = {
     "pose_sources": ["gnss_pose"],
     "sources.gnss_pose.use_heading": False,
@@ -45,12 +46,8 @@ def start(seed: int, speed: Callable[[float], float], seconds: float) -> Iterato
     for k in range(round((REST + seconds) * 50)):
         t, stamp_ns = k * 0.02, (k + 1) * 20_000_000
         turns = TRACK_SPEED / RADIUS if t >= REST else 0.0
-        f_x, f_y, f_z = rng.normal((0.0, 0.0, GRAVITY), ACCELERATION).tolist()
-        p, q, r = rng.normal(0.0, 0.003, 3).tolist()
         found: list[Measurement] = [Sprockets("sprockets", stamp_ns, turns, turns)]
-        found.append(
-            YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), ACCELERATION**2)
-        )
+        found.append(imu_sample(stamp_ns, np.array((0.0, 0.0, GRAVITY)), 0.0, rng))
         if k % 5 == 0:
             east, north = rng.normal(antenna + np.array((c, s)) * distance, FIX)
             found.append(PoseFix("gnss_pose", stamp_ns, np.array((east, north, 0.0)), COVARIANCE))
@@ -78,8 +75,7 @@ def heading_error(e: Estimate) -> float:
 
 
 def is_inside(moment: Moment, e: Estimate) -> bool:
-    d = e.pose[:2] - moment.position
-    return bool(d @ np.linalg.solve(e.pose_covariance[:2, :2], d) < INSIDE)
+    return position_nees(e, np.array(moment.position)) < THREE_SIGMA
 
 
 @pytest.mark.parametrize("has_velocities", [False, True])

@@ -276,8 +276,8 @@ def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[s
         c["lean_errors"] = index
         c["lean_stddevs"] = slope, p.attitude.accelerometer_bias_stddev / GRAVITY
         c["lean_decays"] = (0.0, 1.0 / p.attitude.unknown_slope_length), (1.0 / LEAN_TIME, 0.0)
-        is_measured_soon = p.tilt_source is not None and slope > 0.0
-        variance = (_INITIAL_TILT / slope) ** 2 if is_measured_soon else 1.0
+        has_imu = p.tilt_source is not None
+        variance = (_INITIAL_TILT / slope) ** 2 if has_imu and slope > 0.0 else 1.0
         for axis in (index, index + 1):
             c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = variance
         index += 2

@@ -30,7 +30,7 @@ from trackslip_estimation.attitude.level import climb_rate_variance
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.kalman.update import correct, independent_observation
-from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
+from trackslip_estimation.slip.levers import UNKNOWN_HEADING, UNKNOWN_SWING, swing_lever
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_twist
 from trackslip_estimation.slip.models.model import GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
@@ -108,7 +108,7 @@ def _exchange_tilt_errors(state: State, before: Lean, c: Config) -> None:
     lean = now if now.known == 1 else before
     cos, sin = math.cos(x[YAW]), math.sin(x[YAW])
     slope = np.array((cos * lean.x - sin * lean.y, sin * lean.x + cos * lean.y))
-    variance = lean.variance + min(P[YAW, YAW], 1.0) * (lean.x**2 + lean.y**2)
+    variance = lean.variance + min(P[YAW, YAW], UNKNOWN_HEADING**2) * (lean.x**2 + lean.y**2)
     if now.known == 1 and stddev > 0.0:
         H = np.zeros((2, x.size))
         H[X, e] = H[Y, e + 1] = stddev

@@ -159,11 +159,11 @@ def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, 
 def has_recent_fix(before: State, m: MeasurementRecord, c: Config) -> bool:
     """Whether recent fixes separate wrong velocities or angles from slip or a wrong heading."""
     is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
-    return bool(is_fixed and not _is_heading_unknown(before))
+    return bool(is_fixed and not _is_heading_undetermined(before))
 
 
 @compiled
-def _is_heading_unknown(before: State) -> bool:
+def _is_heading_undetermined(before: State) -> bool:
     """Whether the heading is unknown, or known to a sector of the circle only."""
     return bool(before.is_sector or is_heading_unknown(before))
 
@@ -213,7 +213,7 @@ def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> b
     """
     if math.isinf(c.gate_limits[1]):
         return False
-    is_unknown = _is_heading_unknown(window.states[p, k - 1])
+    is_unknown = _is_heading_undetermined(window.states[p, k - 1])
     return bool(not is_unknown or (unit == TRACKS and _is_farther_than_tracks(window, p, k, c)))
 
 
