@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 
-_KNOWN_HEADING = 0.2  # rad, standard deviation below which a heading is known
+_KNOWN_HEADING = 0.1  # rad, standard deviation below which a heading is known
 _LEAST_DISTANCE = 0.1  # m, track distance beyond which the machine has moved
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 

@@ -43,7 +43,7 @@ from trackslip_estimation.slip.events import (
     Event,
 )
 from trackslip_estimation.slip.late_stamps import inflate_delay, reset_delay
-from trackslip_estimation.slip.levers import to_sensor
+from trackslip_estimation.slip.levers import is_heading_unknown, to_sensor
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
     DOWNHILL,
@@ -251,7 +251,7 @@ def _change_slip(state: State, e: EventRecord, c: Config) -> int:
     P[X, Y] += variance * cos * sin
     P[Y, X] += variance * cos * sin
     if is_stuck:
-        return _reset_state(state, COMMON_SLIP, 1.0, c.bank.slip_excess**2, c)
+        return _reset_state(state, COMMON_SLIP, 1.0, c.bank.slip_excess**2, c) | _reset_sector(state, c)
     _open_slip(state, c.events.slip_stddev**2, c)
     return _move_offset_to_position(state, e.source, c) if e.event == SLIPPED and e.value > 0.0 else 0
 
@@ -286,17 +286,29 @@ def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: 
         return _reset_state(state, COMMON_SLIP, -1.0, opened, c)
     elif e.source == TRACKS and previous_fault == IS_MISCOUNTING:
         return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
-    elif e.source == TRACKS and state.is_sector:  # the sprockets have selected the sector
-        state.is_sector = False
-        return _reset_state(state, YAW, state.mean[YAW], ANY_HEADING**2, c)
+    elif e.source == TRACKS:
+        return _reset_sector(state, c)
     return 0
+
+
+@compiled
+def _reset_sector(state: State, c: Config) -> int:
+    """Reset a heading known to a sector, about the latest antenna: the motion that selects it did not happen."""
+    if not state.is_sector:
+        return 0
+    x, P, about = state.mean[: c.size], state.covariance[:], latest_pose_source(state, c)
+    state.is_sector = False
+    to_sensor(x, P, state.attitude.level, about, 1.0, c)
+    reset_states = _POSITION | _reset_state(state, YAW, c.prior_mean[YAW], ANY_HEADING**2, c)
+    to_sensor(x, P, state.attitude.level, about, -1.0, c)
+    return reset_states
 
 
 @compiled
 def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     """Reset the heading, about the sensor of the latest position, and the states learned through it."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    is_measured = e.part == MEASURED
+    is_measured, was_unknown = e.part == MEASURED, is_heading_unknown(state)
     about = latest_pose_source(state, c) if is_measured else e.source
     turn, variance = (0.0, (math.pi / HEADINGS) ** 2) if is_measured else sector_angle(e.part)
     if is_measured:
@@ -310,7 +322,10 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
         slip, slip_variance = x[COMMON_SLIP], P[COMMON_SLIP, COMMON_SLIP]
         for k in _LEARNED_BY_HEADING:
             reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
-        if e.part == REVERSED and slip > 1.0:  # the reversed machine moves in the same direction
+        if was_unknown:  # a stuck machine moves, and so does or does not grip
+            reset_states |= _reset_state(state, COMMON_SLIP, slip, slip_variance, c)
+            _open_slip(state, 0.0, c)
+        elif e.part == REVERSED and slip > 1.0:  # the reversed machine moves in the same direction
             reset_states |= _reset_state(state, COMMON_SLIP, 2.0 - slip, slip_variance, c)
         reset_delay(state, c)
     to_sensor(x, P, level, about, -1.0, c)

@@ -60,7 +60,7 @@ def implausibility(state: State, c: Config) -> float:
 @compiled
 def slip_range_penalty(state: State, c: Config) -> float:
     """Reduction of ln of a branch's weight for an i₀ outside its physical range."""
-    if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
+    if not has_velocity_errors(c) or state.fault[TRACKS] in (IS_FAILED, IS_MISCOUNTING):
         return 0.0
     low, high = c.bank.least_slip, c.bank.most_slip
     if state.attitude.level.known == 1 and not is_on_slope(state):
