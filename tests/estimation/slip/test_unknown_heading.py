@@ -97,3 +97,26 @@ def test_heading_is_found_while_the_tracks_grip_slowly(seed: int, has_velocities
     assert heading_error(e) < 0.1
     assert math.sqrt(e.pose_covariance[2, 2]) < 0.1
     assert is_inside(moment, e)
+
+
+@pytest.mark.parametrize("has_velocities", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_start_with_spinning_tracks_never_ends_with_a_certain_wrong_heading(
+    seed: int, has_velocities: bool
+) -> None:
+    """The slip takes 10 s from 100 % to 10 %: for seconds the machine hardly moves, to noise in any direction."""
+    for moment, e in estimates(start(seed, lambda t: 0.05 * t, 10.0), has_velocities):
+        assert heading_error(e) < 1.0 or math.sqrt(e.pose_covariance[2, 2]) > 0.3, moment.t - REST
+    assert heading_error(e) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_machine_that_is_stuck_from_its_start_has_an_unknown_heading_until_it_grips(seed: int) -> None:
+    stuck = 20.0  # s
+    moments = start(seed, lambda t: min(0.3 * max(t - stuck, 0.0), 0.5), stuck + 5.0)
+    for moment, e in estimates(moments, has_velocities=False):
+        is_stuck = 2.0 < moment.t - REST < stuck
+        assert is_inside(moment, e) or not is_stuck
+        assert math.sqrt(e.pose_covariance[2, 2]) > 1.0 or not is_stuck
+    assert heading_error(e) < 0.1
+    assert is_inside(moment, e)

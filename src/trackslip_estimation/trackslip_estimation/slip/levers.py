@@ -23,8 +23,9 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state
-from trackslip_estimation.slip.models.dispatch import horizontal_twist
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors, horizontal_twist
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import ImuSample, Level
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``events.HEADINGS``
+_STUCK_STDDEVS = 2.0  # standard deviations of i₀ within which it is 1
 UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
 SwungArm = tuple[float, float, float, float]
 
@@ -48,6 +50,21 @@ class Lever(NamedTuple):
 def is_heading_unknown(state: State) -> bool:
     """Whether the heading is unknown, and not split into sectors yet: the tracks have not moved."""
     return bool(not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+
+
+@compiled
+def is_heading_unobservable(state: State, c: Config) -> bool:
+    """Whether fixes do not show an uncertain heading: the machine does not move, though its tracks may."""
+    return bool(is_heading_unknown(state) or (state.is_sector and is_direction_unknown(state, c)))
+
+
+@compiled
+def is_direction_unknown(state: State, c: Config) -> bool:
+    """Whether both tracks slip by 100 %, as far as is known: the machine may move in either direction."""
+    if not has_velocity_errors(c):
+        return False
+    ahead, variance = 1.0 - state.mean[COMMON_SLIP], state.covariance[COMMON_SLIP, COMMON_SLIP]
+    return bool(ahead * ahead < _STUCK_STDDEVS**2 * variance)
 
 
 @compiled
@@ -135,9 +152,10 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: flo
 
 @compiled
 def decouple_unknown_heading(state: State, source: int, c: Config) -> None:
-    """Set the covariance of an unknown heading and the position of a sensor at rest to 0, in place.
+    """Set the covariance of an unobservable heading and the position of a sensor to 0, in place.
 
-    Linearised at any heading, each error of the tilt would turn the machine about a high antenna.
+    Linearised at any heading, each error of the tilt would turn the machine about a high antenna, and each
+    error of a slip of 100 % would move it along that heading.
     """
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     to_sensor(x, P, level, source, 1.0, c)

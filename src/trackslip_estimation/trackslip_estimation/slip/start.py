@@ -64,7 +64,7 @@ def begin_estimate(window: Window, measurement: MeasurementRecord, c: Config) ->
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
     if status.scripted:
         apply_scripted_events(window, 0, 1, c)
-    elif is_moving_without_heading(window.states[0, 0]):
+    elif is_moving_without_heading(window.states[0, 0], c):
         split_unknown_heading(window, 0, c)
     status.started, status.known = True, 1
     return _ACCEPTED

@@ -33,7 +33,11 @@ from trackslip_estimation.slip.coasting import (
 )
 from trackslip_estimation.slip.events import ANY_HEADING
 from trackslip_estimation.slip.late_stamps import propagate_delay
-from trackslip_estimation.slip.levers import UNKNOWN_HEADING, decouple_unknown_heading, is_heading_unknown
+from trackslip_estimation.slip.levers import (
+    UNKNOWN_HEADING,
+    decouple_unknown_heading,
+    is_heading_unobservable,
+)
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -103,7 +107,7 @@ def step(
         set_manual_pose(state, measurement)
         update.follows = False
     else:
-        if measurement.kind == POSE and is_heading_unknown(state):
+        if measurement.kind == POSE and is_heading_unobservable(state, c):
             decouple_unknown_heading(state, measurement.source, c)
         apply_measurement(state, measurement, c, update, prior)
         _clear_known_sector(state)

@@ -80,7 +80,8 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
     if not implausible and _is_probably_outlier(window, p, k, c):
         return
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
-    if is_place and has_moved and are_track_speeds_measured(before) and can_be_repetition(update, c):
+    has_moved_to_fix = is_place and has_moved and are_track_speeds_measured(before)
+    if has_moved_to_fix and not _is_heading_undetermined(before) and can_be_repetition(update, c):
         add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
     _make_wander_children(window, p, k, c)
     _make_source_fault_children(window, p, k, penalty, c)
@@ -108,8 +109,10 @@ def make_sector_children(
         for part in range(HEADINGS):
             add_child_since_snapshot(window, p, k, SWUNG, source, part, -_LOG_SECTORS, c)
     if (contradicts and update.dof > YAW) or ((contradicts or implausible) and has_moved):
-        prior = log_time_since_snapshot(window, p, k, c) + c.log_rates[TURNED, source] - _LOG_SECTORS
-        prior -= correlated_penalty(window, p, k, c)
+        prior = -_LOG_SECTORS
+        if not is_heading_unknown(before):
+            prior += log_time_since_snapshot(window, p, k, c) + c.log_rates[TURNED, source]
+            prior -= correlated_penalty(window, p, k, c)
         cost = window.branches[p, k - 1].slip_cost if before.mean[COMMON_SLIP] > 1.0 else 0.0
         for part in range(HEADINGS):  # the reversed machine has not had the slip that cost the parent
             log_prior = max(prior, min(prior + cost, 0.0)) if part == REVERSED else prior

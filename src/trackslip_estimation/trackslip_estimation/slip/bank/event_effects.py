@@ -293,7 +293,7 @@ def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: 
 
 @compiled
 def _reset_sector(state: State, c: Config) -> int:
-    """Reset a heading known to a sector, about the latest antenna: the motion that selects it did not happen."""
+    """Reset a heading known to a sector, about the latest antenna: the machine has not moved as assumed."""
     if not state.is_sector:
         return 0
     x, P, about = state.mean[: c.size], state.covariance[:], latest_pose_source(state, c)

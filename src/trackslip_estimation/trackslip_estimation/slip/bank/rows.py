@@ -41,7 +41,7 @@ from trackslip_estimation.slip.bank.script import apply_scripted_events, record_
 from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED
 from trackslip_estimation.slip.finite import is_finite_state
-from trackslip_estimation.slip.levers import is_heading_unknown
+from trackslip_estimation.slip.levers import is_direction_unknown, is_heading_unknown
 from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
@@ -118,7 +118,7 @@ def finish_row(window: Window, k: int, total: int, changes_weights: bool, c: Con
         prune_row(window, k, total, c)
         reset_receivers_after_turn(window, k, c)
     advance_snapshots(window, k, c)
-    if is_moving_without_heading(window.states[0, k]):
+    if is_moving_without_heading(window.states[0, k], c):
         split_unknown_heading(window, k, c)
 
 
@@ -145,10 +145,10 @@ def begin_row(window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def is_moving_without_heading(state: State) -> bool:
-    """Whether tracks move and the heading is unknown; at rest no prediction depends on the heading."""
+def is_moving_without_heading(state: State, c: Config) -> bool:
+    """Whether the tracks move the machine, and its heading is unknown: now a prediction depends on it."""
     moves = not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0)
-    return bool(moves and is_heading_unknown(state))
+    return bool(moves and is_heading_unknown(state) and not is_direction_unknown(state, c))
 
 
 @compiled

@@ -27,7 +27,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.coasting import unknown_sideways_variance
-from trackslip_estimation.slip.levers import horizontal_lever_arm, is_heading_unknown, swung_lever_arm
+from trackslip_estimation.slip.levers import horizontal_lever_arm, is_heading_unobservable, swung_lever_arm
 from trackslip_estimation.slip.models import slope
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
@@ -96,7 +96,8 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
         for axis in range(m):
             H[axis, c.offsets[source] + axis] = 1.0
             nu[axis] -= x[c.offsets[source] + axis]
-    considered = 1 << YAW if is_heading_unknown(state) else 0  # at rest noise of the yaw rate moves the lever
+    # at rest the noise of the yaw rate moves the lever
+    considered = 1 << YAW if is_heading_unobservable(state, c) else 0
     return Observation(nu, H, R, considered, 0, H[:0])
 
 
