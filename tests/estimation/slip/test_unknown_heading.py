@@ -104,7 +104,7 @@ def test_heading_is_found_while_the_tracks_grip_slowly(seed: int, has_velocities
 def test_a_start_with_spinning_tracks_never_ends_with_a_certain_wrong_heading(
     seed: int, has_velocities: bool
 ) -> None:
-    """The slip takes 10 s from 100 % to 10 %: for seconds the machine hardly moves, to noise in any direction."""
+    """The slip takes 10 s from 100 % to 10 %: for seconds the machine hardly moves."""
     for moment, e in estimates(start(seed, lambda t: 0.05 * t, 10.0), has_velocities):
         assert heading_error(e) < 1.0 or math.sqrt(e.pose_covariance[2, 2]) > 0.3, moment.t - REST
     assert heading_error(e) < 0.1
