@@ -211,7 +211,7 @@ def test_fault_beside_headings_is_found_at_each_time_of_a_real_drive(
 def test_failed_encoders_are_found_without_a_gyro(compass: Compass | None) -> None:
     """A fast machine keeps its speed while its encoders fail."""
     cell = sweep(Setting("warthog", 5.0, "both encoders show 0 10 s", compass, has_gyro=False), EVERY)
-    assert cell.median_rmse < 0.15
+    assert cell.median_rmse < 0.16
     assert max(s.rmse for s in cell.scores.values()) < 0.25
     assert cell.inconsistent < 0.06
 

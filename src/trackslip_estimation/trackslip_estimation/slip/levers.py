@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``events.HEADINGS``
+_ROUGH_HEADING = 0.2  # rad, standard deviation; 0.28 within a sector
 _STUCK_STDDEVS = 2.0  # standard deviations of i₀ within which it is 1
 UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
 SwungArm = tuple[float, float, float, float]
@@ -50,6 +51,13 @@ class Lever(NamedTuple):
 def is_heading_unknown(state: State) -> bool:
     """Whether the heading is unknown, and not split into sectors yet: the tracks have not moved."""
     return bool(not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+
+
+@compiled
+def is_heading_undetermined(state: State) -> bool:
+    """Whether the heading is unknown, or hardly known better than to a sector of the circle."""
+    is_rough = state.is_sector and state.covariance[YAW, YAW] > _ROUGH_HEADING**2
+    return bool(is_heading_unknown(state) or is_rough)
 
 
 @compiled

@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 
-_KNOWN_HEADING = 0.1  # rad, standard deviation below which a heading is known
+_SETTLED_HEADING = 0.1  # rad, standard deviation below which the motion has shown a heading
 _LEAST_DISTANCE = 0.1  # m, track distance beyond which the machine has moved
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
@@ -135,8 +135,8 @@ def _correct_height(state: State, update: Update, prior: Prior) -> None:
 
 @inlined
 def _clear_known_sector(state: State) -> None:
-    """Clear ``is_sector`` once the heading is known better than to a sector."""
-    if state.is_sector and state.covariance[YAW, YAW] < _KNOWN_HEADING**2:
+    """Clear ``is_sector`` once the heading is known much better than to a sector."""
+    if state.is_sector and state.covariance[YAW, YAW] < _SETTLED_HEADING**2:
         state.is_sector = False
 
 

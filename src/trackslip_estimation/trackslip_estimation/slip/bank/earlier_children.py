@@ -35,7 +35,7 @@ from trackslip_estimation.slip.events import (
     TURNED,
     WANDERS,
 )
-from trackslip_estimation.slip.levers import is_heading_unknown
+from trackslip_estimation.slip.levers import is_heading_undetermined, is_heading_unknown
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.slope import is_on_slope
@@ -80,8 +80,9 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
     if not implausible and _is_probably_outlier(window, p, k, c):
         return
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
-    has_moved_to_fix = is_place and has_moved and are_track_speeds_measured(before)
-    if has_moved_to_fix and not _is_heading_undetermined(before) and can_be_repetition(update, c):
+    may_stay = is_place and has_moved and are_track_speeds_measured(before)
+    may_stay = may_stay and not before.is_sector and not is_heading_unknown(before)
+    if may_stay and can_be_repetition(update, c):
         add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
     _make_wander_children(window, p, k, c)
     _make_source_fault_children(window, p, k, penalty, c)
@@ -162,13 +163,7 @@ def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, 
 def has_recent_fix(before: State, m: MeasurementRecord, c: Config) -> bool:
     """Whether recent fixes separate wrong velocities or angles from slip or a wrong heading."""
     is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
-    return bool(is_fixed and not _is_heading_undetermined(before))
-
-
-@compiled
-def _is_heading_undetermined(before: State) -> bool:
-    """Whether the heading is unknown, or known to a sector of the circle only."""
-    return bool(before.is_sector or is_heading_unknown(before))
+    return bool(is_fixed and not is_heading_undetermined(before))
 
 
 @compiled
@@ -216,7 +211,7 @@ def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> b
     """
     if math.isinf(c.gate_limits[1]):
         return False
-    is_unknown = _is_heading_undetermined(window.states[p, k - 1])
+    is_unknown = is_heading_undetermined(window.states[p, k - 1])
     return bool(not is_unknown or (unit == TRACKS and _is_farther_than_tracks(window, p, k, c)))
 
 
