@@ -10,12 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from fixtures.pose_errors import PoseErrors
-from scipy.spatial.transform import Rotation
+from fixtures.whole_inputs import read_inputs
 
 import trackslip as ts
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
 from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import config_file
 from trackslip_common.orientations import wrap_angles
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
 
 SCENARIOS = (
@@ -57,7 +60,7 @@ WRONG: Mapping[tuple[str, str, str], str] = {
 
 
 class Drive(NamedTuple):
-    """A recorded drive, and its truth: times (k,), s, and poses (k, 3)."""
+    """A recorded drive, and its truth: times (k,), s, and poses (k, 3) with a continuous heading."""
 
     scenario: str
     soil: str
@@ -72,10 +75,12 @@ def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     bag = tmp_path_factory.mktemp(scenario) / "bag"
     options = ["--scenario", scenario, "--soil", soil, "--vehicle", "excavator_20t", "--output", str(bag)]
     assert main(["simulate", *options]) == 0
-    truth = ts.load(bag).columns("/truth/odometry")
-    turns = Rotation.from_quat(np.column_stack([truth[name] for name in ("qx", "qy", "qz", "qw")]))
-    poses = np.column_stack((truth["x"], truth["y"], turns.as_euler("ZYX")[:, 0]))
-    return Drive(scenario, soil, bag, truth["stamp_ns"] * 1e-9, poses)
+    with open_bag(bag) as recorded:
+        inputs = read_inputs(recorded, load_slip_parameters(), InputFilters(), ("truth/odometry",))
+    truth = inputs.series["truth/odometry"]
+    poses = truth.columns("x", "y", "heading")
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Drive(scenario, soil, bag, truth.stamps_ns * 1e-9, poses)
 
 
 def errors(drive: Drive, inputs: Mapping[str, Any]) -> PoseErrors:
@@ -83,8 +88,7 @@ def errors(drive: Drive, inputs: Mapping[str, Any]) -> PoseErrors:
     e = ts.replay(drive.bag, params=[str(config_file("gnss.yaml"))], **inputs).estimates
     t, is_known = e.stamp_ns * 1e-9, e.pose_covariance[:, 2, 2] < KNOWN_HEADING**2
     used = (t >= drive.t[0]) & (t <= drive.t[-1]) & is_known
-    poses = np.column_stack((drive.poses[:, :2], np.unwrap(drive.poses[:, 2])))
-    off = e.pose[used] - np.column_stack([np.interp(t[used], drive.t, column) for column in poses.T])
+    off = e.pose[used] - np.column_stack([np.interp(t[used], drive.t, column) for column in drive.poses.T])
     off[:, 2] = wrap_angles(off[:, 2])
     return PoseErrors(t[used], off, e.pose_covariance[used])
 
