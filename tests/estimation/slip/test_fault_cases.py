@@ -19,6 +19,7 @@ from fixtures.fault_cases.catalogue import CATALOGUE
 from fixtures.fault_cases.drawn_cases import with_source
 from fixtures.fault_cases.gnss_errors import KINDS, gauss_markov
 from fixtures.fault_cases.injections import INJECTIONS, blank_sprockets
+from fixtures.fault_cases.robot_cases import injected_case
 from fixtures.fault_cases.robot_logs import Compass, is_present
 from fixtures.fault_cases.running import (
     BASELINE,
@@ -29,6 +30,7 @@ from fixtures.fault_cases.running import (
     write_scores,
 )
 from fixtures.fault_cases.scoring import Score
+from fixtures.fault_cases.scoring import score as score_case
 from fixtures.fault_cases.sensor_faults import SENSOR_FAULTS
 from fixtures.fault_cases.sweep import COMPASSES, Setting, sweep
 
@@ -180,6 +182,16 @@ def test_fault_is_found_at_each_time_of_a_real_drive(
     assert cell.median_rmse < rmse
     assert max(s.rmse for s in cell.scores.values()) < largest
     assert cell.inconsistent < 0.08
+
+
+@pytest.mark.skipif(not is_present("marmotte"), reason="no log of the tracked robot")
+@pytest.mark.parametrize(("event", "fault"), [(50.0, "multipath 1.0 m 10 s"), (62.0, "multipath 0.5 m 10 s")])
+def test_end_of_multipath_confirms_an_improbable_offset(event: float, fault: str) -> None:
+    """A slow receiver moves an uncertain machine; the offset stays improbable until it ends."""
+    case = injected_case("marmotte", event, INJECTIONS[fault])
+    found = score_case(replace(case, window=(event + 13.0, event + 30.0)))
+    assert found.rmse < 0.15
+    assert found.nees < 4.0
 
 
 @pytest.mark.skipif(not is_present("marmotte"), reason="no log of the tracked robot")

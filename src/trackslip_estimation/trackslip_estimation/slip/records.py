@@ -193,7 +193,7 @@ class State(Record):
     delay_variance: float  # of δ without the information of fixes
     learned_downhill: float  # sine of the slope, downhill along the tracks, where k was estimated
     track_distance: float  # mean of both tracks since the start, never decreasing, m
-    is_sector: bool  # whether the heading is known to a sector of the circle only
+    is_sector: bool  # whether a heading that began in a sector of the circle is not settled yet
     fault: Annotated[IntArray, MOST_SOURCES]  # ``SourceFault`` that the branch assumes, by source
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source

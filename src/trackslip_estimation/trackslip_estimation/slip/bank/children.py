@@ -110,15 +110,15 @@ def create_children(window: Window, k: int, c: Config) -> int:
         branch.weight = 0.0
         return 1
     copy_row_to_pool(window, k)
-    least = -c.bank.spawns  # weight before the measurement
-    parents = [p for p in range(count) if needs_children[p] and window.branches[p, k - 1].weight >= least]
+    parents = [p for p in range(count) if needs_children[p]]
     for p in parents:
         _make_children(window, p, k, c)
     for p in parents:  # last, as they take the most time
         if _can_have_earlier_event(window, p, k, c):
             implausible = _is_slip_implausible(window, p, k, c)
             make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
-        window.pool_branches[p].cusum[:] = 0.0
+        if _is_likely(window, p, k, c):
+            window.pool_branches[p].cusum[:] = 0.0
     return int(window.status[0].pooled)
 
 
@@ -132,8 +132,8 @@ def create_failure_children(window: Window, k: int, c: Config) -> int:
     copy_row_to_pool(window, k)
     shows_motion = window.measurements[k].kind != SLIPS
     for p in range(window.counts[k]):
-        is_rejected, weight = update_of(window, p, k).evidence != 0.0, window.branches[p, k - 1].weight
-        if is_rejected and shows_motion and weight >= -c.bank.spawns and has_velocity_errors(c):
+        is_rejected = update_of(window, p, k).evidence != 0.0 and _is_likely(window, p, k, c)
+        if is_rejected and shows_motion and has_velocity_errors(c):
             make_failure_children(window, p, k, 0.0, c)
             if is_stuck(window.states[p, k - 1], c):
                 add_child_since_snapshot(window, p, k, SLIPPED, window.measurements[k].source, 0, 0.0, c)
@@ -164,6 +164,12 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
             branch.cusum[i] = max(branch.cusum[i] + min(e, c.bank.cusum_largest) - c.bank.cusum_drift, 0.0)
+
+
+@compiled
+def _is_likely(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether branch p was likely enough before k for another event; the end of its fault needs less."""
+    return bool(window.branches[p, k - 1].weight >= -c.bank.spawns)
 
 
 @compiled
@@ -241,10 +247,10 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add the children of branch p at measurement k."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault, contradicts = m.source, before.fault[m.source], _is_contradicted(window, p, k, c)
-    if fault == IS_SCATTERING:
-        _make_scatter_end_children(window, p, k, c)
-        return
     _make_recovery_children(window, p, k, contradicts, c)
+    if fault == IS_SCATTERING or not _is_likely(window, p, k, c):
+        return
+    _make_unit_recovery_children(window, p, k, c)
     for event in (SLIPPED, BIASED):
         odds = log_odds_of_hidden_change(window, p, k, event, c)
         if odds > -c.bank.spawns:
@@ -267,7 +273,7 @@ def _can_have_earlier_event(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether an event since the snapshot of branch p may explain measurement k."""
     m = window.measurements[k]
     fault = window.states[p, k - 1].fault[m.source]
-    if m.kind not in (POSE, VELOCITY) or fault == IS_SCATTERING:
+    if m.kind not in (POSE, VELOCITY) or fault == IS_SCATTERING or not _is_likely(window, p, k, c):
         return False
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     return bool(shows or _is_contradicted(window, p, k, c) or _is_slip_implausible(window, p, k, c))
@@ -294,17 +300,26 @@ def _make_scatter_end_children(window: Window, p: int, k: int, c: Config) -> Non
 
 @compiled
 def _make_recovery_children(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
-    """Add children in which a fault of the source, or of a motion sensor, has ended."""
+    """Add children in which a fault of the source has ended."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault = m.source, before.fault[m.source]
+    if fault == IS_SCATTERING:
+        _make_scatter_end_children(window, p, k, c)
+        return
     if fault != IS_HEALTHY and (contradicts or has_wandering_offset(before, source, c)):
         add_child_at_measurement(window, p, k, RECOVERED, source, 0.0, c)
     if _is_jump_test_due(window, p, k, c):  # the offset paid for its duration; a jump does not
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
         add_child(window, p, k, BECAME_JUMP, source, 0, False, prior, c)
+
+
+@compiled
+def _make_unit_recovery_children(window: Window, p: int, k: int, c: Config) -> None:
+    """Add children in which a motion sensor has measured the motion again since the snapshot."""
+    before = window.states[p, k - 1]
     for unit in range(MOST_SOURCES):
-        if m.kind not in (POSE, VELOCITY) or not is_failed(before.fault[unit]):
+        if window.measurements[k].kind not in (POSE, VELOCITY) or not is_failed(before.fault[unit]):
             continue
         if unit != TRACKS or not shows_standstill(before.sample, c):  # failed encoders often show 0
             add_child_since_snapshot(window, p, k, RECOVERED, unit, 0, 0.0, c)

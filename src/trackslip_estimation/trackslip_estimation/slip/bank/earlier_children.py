@@ -100,6 +100,7 @@ def make_sector_children(
 ) -> None:
     """Add children of p with the heading or the swing angle in each sector of the circle.
 
+    A heading that was known has been wrong since an event; an unknown one is in each sector as likely.
     ``contradicts``: measurement k contradicts p; ``implausible`` as above.
     """
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)

@@ -85,7 +85,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import EventRecord, State
 
-_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET
+_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, TURN_STATE_2, ROTATION_OFFSET
 _SLOPE_STDDEV = 2.0  # of k while the machine slides
 _POSITION = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
@@ -296,40 +296,54 @@ def _reset_sector(state: State, c: Config) -> int:
     """Reset a heading known to a sector, about the latest antenna: the machine has not moved as assumed."""
     if not state.is_sector:
         return 0
-    x, P, about = state.mean[: c.size], state.covariance[:], latest_pose_source(state, c)
     state.is_sector = False
-    to_sensor(x, P, state.attitude.level, about, 1.0, c)
-    reset_states = _POSITION | _reset_state(state, YAW, c.prior_mean[YAW], ANY_HEADING**2, c)
-    to_sensor(x, P, state.attitude.level, about, -1.0, c)
-    return reset_states
+    return _turn_about_sensor(state, latest_pose_source(state, c), c.prior_mean[YAW], ANY_HEADING**2, c)
 
 
 @compiled
 def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     """Reset the heading, about the sensor of the latest position, and the states learned through it."""
-    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    is_measured, was_unknown = e.part == MEASURED, is_heading_unknown(state)
+    x, is_measured, was_unknown = state.mean, e.part == MEASURED, is_heading_unknown(state)
     about = latest_pose_source(state, c) if is_measured else e.source
     turn, variance = (0.0, (math.pi / HEADINGS) ** 2) if is_measured else sector_angle(e.part)
     if is_measured:
         turn = wrap(e.value - c.heading_offset[e.source] - x[YAW])
     swing = x[SWING] if c.above[about] == 1 else 0.0
-    heading = wrap(x[YAW] + turn + swing)
     state.is_sector = not is_measured
-    to_sensor(x, P, level, about, 1.0, c)
-    reset_states = _POSITION | _reset_state(state, YAW, heading, variance, c)
+    reset_states = _turn_about_sensor(state, about, wrap(x[YAW] + turn + swing), variance, c)
     if has_velocity_errors(c):
-        slip, slip_variance = x[COMMON_SLIP], P[COMMON_SLIP, COMMON_SLIP]
         for k in _LEARNED_BY_HEADING:
             reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
-        if was_unknown:  # a stuck machine moves, and so does or does not grip
-            reset_states |= _reset_state(state, COMMON_SLIP, slip, slip_variance, c)
-            _open_slip(state, 0.0, c)
-        elif e.part == REVERSED and slip > 1.0:  # the reversed machine moves in the same direction
-            reset_states |= _reset_state(state, COMMON_SLIP, 2.0 - slip, slip_variance, c)
+        reset_states |= _reset_slip_of_heading(state, was_unknown, e.part == REVERSED, c)
         reset_delay(state, c)
-    to_sensor(x, P, level, about, -1.0, c)
     return reset_states
+
+
+@compiled
+def _turn_about_sensor(state: State, source: int, heading: float, variance: float, c: Config) -> int:
+    """Reset the heading that a sensor has; its position stays. Return the reset states."""
+    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
+    to_sensor(x, P, level, source, 1.0, c)
+    reset_states = _reset_state(state, YAW, heading, variance, c)
+    to_sensor(x, P, level, source, -1.0, c)
+    return reset_states | _POSITION
+
+
+@compiled
+def _reset_slip_of_heading(state: State, was_unknown: bool, is_reversed: bool, c: Config) -> int:
+    """Reset i₀, as another heading implies another motion; return the reset states.
+
+    A machine whose heading was unknown moves, and so does or does not grip. The reversed machine moves in the
+    same direction as before.
+    """
+    slip, variance = state.mean[COMMON_SLIP], state.covariance[COMMON_SLIP, COMMON_SLIP]
+    if was_unknown:
+        reset_states = _reset_state(state, COMMON_SLIP, slip, variance, c)
+        _open_slip(state, 0.0, c)
+        return reset_states
+    if is_reversed and slip > 1.0:
+        return _reset_state(state, COMMON_SLIP, 2.0 - slip, variance, c)
+    return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.prior_variance[COMMON_SLIP], c)
 
 
 @compiled

@@ -17,7 +17,10 @@ class BankParameters(Parameters):
         "mean squared difference of two branches below which they merge, over the sum of their variances",
         gt=0.0,
     )
-    spawns: float = parameter("ln of the odds against a branch, beyond which it gets no children", gt=0.0)
+    spawns: float = parameter(
+        "ln of the odds against a branch, beyond which its children only end a fault of the measured source",
+        gt=0.0,
+    )
     steps: int = parameter("steps that all children of one measurement may repeat", ge=1)
     child_time: float = parameter(
         "time that they may repeat instead, if that is more: at high rates of the sensors", unit="s", gt=0.0
