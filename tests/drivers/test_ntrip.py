@@ -38,6 +38,7 @@ def casters() -> Iterator[Callable[..., Caster]]:
 @pytest.fixture(autouse=True)
 def _short_times(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ntrip, "STALL_S", 0.5)
+    monkeypatch.setattr(ntrip, "_LONGEST_WAIT_S", 0.5)
     monkeypatch.setattr(ntrip, "FIRST_PAUSE_S", 0.05)
     monkeypatch.setattr(ntrip, "LONGEST_PAUSE_S", 0.2)
 
@@ -98,7 +99,21 @@ def replies(data: bytes) -> Serve:
     return lambda connection, _: connection.sendall(data)
 
 
-@pytest.mark.parametrize("answer", [OK, b"ICY 200 OK\r\n\r\n", b"ICY 200 OK\r\nServer: old\r\n\r\n"])
+def drips(begin: bytes, drop: bytes) -> Serve:
+    """A caster that sends a drop every 0.1 s and never ends."""
+
+    def serve(connection: socket.socket, _: bytes) -> None:
+        connection.sendall(begin)
+        while True:
+            connection.sendall(drop)
+            time.sleep(0.1)
+
+    return serve
+
+
+@pytest.mark.parametrize(
+    "answer", [OK, *(b"ICY 200 OK\r\n" + more for more in (b"", b"\r\n", b"Server: old\r\n\r\n"))]
+)
 def test_whole_messages_arrive_in_order(casters: Callable[..., Caster], answer: bytes) -> None:
     caster = casters(streams(20, answer))
     with Receiver(caster) as receiver:
@@ -162,6 +177,15 @@ FAULTS: dict[str, tuple[Serve, str]] = {
     "sourcetable": (
         replies(b"HTTP/1.1 200 OK\r\nContent-Type: gnss/sourcetable\r\n\r\nSTR;OTHER;\r\n"),
         "has no such mountpoint",
+    ),
+    "redirects": (replies(b"HTTP/1.1 302 Found\r\nLocation: /\r\n\r\n"), "302; check ntrip.host"),
+    "web page": (replies(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\n\r\n<html>"), "a web page; check"),
+    "endless header": (drips(b"HTTP/1.1 200 OK\r\nX: ", b"x"), "does not complete its answer"),
+    "endless delay": (drips(b"", b"HTTP/1.1 100 Continue\r\n\r\n"), "does not complete its answer"),
+    "drips": (drips(OK, b"\0"), "sends no RTCM 3"),
+    "ends in a chunk": (
+        replies(OK[:-2] + b"Transfer-Encoding: chunked\r\n\r\nff\r\n" + rtcm()),
+        "closed the connection",
     ),
     "fails": (replies(b"HTTP/1.1 503 Busy\r\n\r\n"), "answers 503"),
     "1 MB/s": (replies(OK + 2000 * rtcm(1000)), "sends more than"),

@@ -13,12 +13,21 @@ import os
 import socket
 import ssl
 import stat
+import string
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
+from http.client import (
+    HTTPConnection,
+    HTTPException,
+    HTTPMessage,
+    HTTPResponse,
+    HTTPSConnection,
+    IncompleteRead,
+    RemoteDisconnected,
+)
 from pathlib import Path
 
 from trackslip_common.errors import InputError
@@ -33,7 +42,9 @@ _RATE_INTERVAL_S = 2.0  # interval over which the rate is counted
 _LINE_BUFFER_S = 0.4  # of the line's capacity that may be written at once
 _PAUSE_RESET_S = 60.0  # of corrections, after which the pause is the first one again
 _READ_SIZE = 4096  # bytes
+_LONGEST_WAIT_S = 60.0  # for a complete message while bytes come
 _MAX_OTHER_BYTES = 20_000  # bytes without a complete message, which are no corrections
+_LINE_BEGINS = (string.ascii_letters + "\r\n").encode()  # of a header or an empty line; RTCM 3 begins with D3
 _LONGEST_FILE = 1024  # bytes
 _POSITION_CHECK_S = 0.2  # between checks for a position
 
@@ -124,15 +135,25 @@ class _RateLimiter:
 class _Response(HTTPResponse):
     """Response of a caster, also of version 1."""
 
+    def begin(self) -> None:
+        """Read status and headers; after ``ICY 200`` the stream may come without any, or an empty line."""
+        if not self._first_bytes().startswith(b"ICY 200"):
+            super().begin()
+            return
+        self.fp.readline(_READ_SIZE)
+        while self.fp.peek(1)[:1] in _LINE_BEGINS and self.fp.readline(_READ_SIZE).strip():
+            pass
+        self.headers = self.msg = HTTPMessage()
+        self.status, self.chunked, self.length, self.will_close = 200, False, None, True
+
     def _read_status(self) -> tuple[str, int, str]:
-        line = self.fp.peek(32)[:32] if hasattr(self.fp, "peek") else b""
-        if line.startswith(b"ICY 200"):
-            self.fp.readline(_READ_SIZE)
-            return "HTTP/1.0", 200, "OK"
-        if line.startswith(b"SOURCETABLE"):
+        if self._first_bytes().startswith(b"SOURCETABLE"):
             return "HTTP/1.0", 404, "sourcetable"
         status: tuple[str, int, str] = super()._read_status()  # type: ignore[misc]
         return status
+
+    def _first_bytes(self) -> bytes:
+        return self.fp.peek(32)[:32] if hasattr(self.fp, "peek") else b""
 
 
 class NtripClient:
@@ -168,8 +189,12 @@ class NtripClient:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop; the shutdown of the socket ends a blocked read."""
+        """Stop, also a blocked read."""
         self._stopping.set()
+        self._disconnect()
+
+    def _disconnect(self) -> None:
+        """Shut the socket down, which ends a blocked read."""
         with self._lock:
             sock = self._socket
         if sock is not None:
@@ -249,18 +274,32 @@ class NtripClient:
         if position is not None:
             headers["Ntrip-GGA"] = position.decode("ascii").strip()
         connection.request("GET", f"/{self._p.mountpoint}", headers=headers)
-        response = connection.getresponse()
+        response = self._read_response(connection)
         if response.status in (401, 403):
             raise _Fault(f"refuses user or password ({response.status}); check ntrip.credentials_file")
         if response.status == 404 or response.headers.get_content_type() == "gnss/sourcetable":
             raise _Fault("has no such mountpoint; check ntrip.mountpoint")
         if response.status != 200:
-            raise _Fault(f"answers {response.status}")
+            remedy = "; check ntrip.host, ntrip.port and ntrip.tls" if response.status < 400 else ""
+            raise _Fault(f"answers {response.status}{remedy}")
+        if response.headers.get_content_type() == "text/html":
+            raise _Fault("answers with a web page; check ntrip.host and ntrip.port")
         return response
+
+    def _read_response(self, connection: HTTPConnection) -> HTTPResponse:
+        """The response without its stream, which a caster may send byte by byte."""
+        timer, began_s = threading.Timer(STALL_S, self._disconnect), time.monotonic()
+        timer.start()
+        try:
+            return connection.getresponse()
+        finally:
+            timer.cancel()
+            if time.monotonic() - began_s >= STALL_S:
+                raise _Fault(f"does not complete its answer within {STALL_S:g} s")
 
     def _forward_messages(self, sock: socket.socket, response: HTTPResponse) -> None:
         splitter, limiter, other_bytes = FrameSplitter(0), _RateLimiter(self._max_rate), 0
-        sent_s = time.monotonic()
+        sent_s = message_s = time.monotonic()
         while not self._stopping.is_set():
             data = response.read1(_READ_SIZE)
             if not data:
@@ -270,12 +309,12 @@ class NtripClient:
             other_bytes += len(data)
             for frame in splitter.feed(data, time.monotonic_ns()):
                 if frame.kind is Kind.RTCM:
-                    other_bytes = 0
+                    other_bytes, message_s = 0, now_s
                     is_sent = limiter.reserve(len(frame.content), now_s)
                     if is_sent:
                         self._on_message(frame.content)
                     self._count_message(len(frame.content), is_sent=is_sent)
-            if other_bytes > _MAX_OTHER_BYTES:
+            if other_bytes > _MAX_OTHER_BYTES or now_s - message_s > _LONGEST_WAIT_S:
                 raise _Fault("sends no RTCM 3; check ntrip.mountpoint")
             if 0.0 < self._p.gga_interval <= now_s - sent_s and (sentence := self._gga()) is not None:
                 sock.sendall(sentence)
@@ -297,7 +336,8 @@ class NtripClient:
         if isinstance(error, TimeoutError):
             return f"sends nothing for {STALL_S:g} s"
         if isinstance(error, HTTPException):
-            return "closed the connection" if "Disconnected" in type(error).__name__ else "answers no HTTP"
+            is_closed = isinstance(error, RemoteDisconnected | IncompleteRead)
+            return "closed the connection" if is_closed else "answers no HTTP"
         if isinstance(error, OSError) and error.strerror:
             return f"not connected ({error.strerror})"
         return f"not connected ({type(error).__name__})"
