@@ -156,6 +156,13 @@ def test_recorder_that_cannot_write(assert_refused, tmp_path):
     [
         ("emulator", signal.SIGINT),
         ("slip_estimator", signal.SIGTERM),
+        pytest.param(
+            "record",
+            signal.SIGHUP,
+            marks=pytest.mark.skipif(
+                signal.getsignal(signal.SIGHUP) == signal.SIG_IGN, reason="under nohup nodes stay"
+            ),
+        ),
         *(pytest.param(node, signal.SIGINT, marks=pytest.mark.slow) for node in NODES if node != "emulator"),
     ],
 )

@@ -43,13 +43,17 @@ _ARGUMENTS = "--ros-args with -p name:=value, --params-file <YAML file>, -r from
 
 
 class _StopSignals:
-    """SIGINT and SIGTERM: during the start the first one interrupts; later ones are only recorded."""
+    """SIGINT, SIGTERM, and SIGHUP unless ``nohup`` ignores it.
+
+    During the start the first one interrupts; later ones are only recorded.
+    """
 
     def __init__(self) -> None:
         self.received: list[int] = []
         self.interrupts = True
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, _frame: object) -> None:
         self.received.append(number)
@@ -65,7 +69,7 @@ def run(
     niceness: int = 0,
     interrupt_code: ExitCode = ExitCode.DONE,
 ) -> int:
-    """Spin the node until SIGINT or SIGTERM; returns the exit code.
+    """Spin the node until SIGINT, SIGTERM or a hangup of its terminal; returns the exit code.
 
     ``interrupt_code``: code after SIGINT, a node's regular end unless it has something to finish.
     ``niceness``: for a node that is not used for control; with few cores the others then run first.
