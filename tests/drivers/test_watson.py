@@ -136,7 +136,15 @@ def test_rejections_are_counted_and_pass(line, reason):
     samples = parser.feed(data[:1000], 0)
     assert parser.bytes_held <= parser.limit
     assert len(samples + parser.feed(data[1000:], 0)) == 2
-    assert parser.tally.total == {(IMU, reason.value): 1}
+    assert parser.tally.total == {(IMU, reason.value): max(1, len(line) // parser.limit)}
+
+
+def test_rubbish_without_a_line_end_is_counted_while_it_comes():
+    parser = stream()
+    for number in range(10):
+        assert parser.feed(b"\xff" * parser.limit, number) == []
+        assert parser.bytes_held <= parser.limit
+    assert parser.tally.total == {(IMU, Rejection.OVERLONG.value): 9}
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """An exception in a driver's thread is counted and reported; the port stays open and data continue."""
 
+import errno
+import math
+import os
 import queue
 import time
 from collections.abc import Iterator
@@ -13,6 +16,7 @@ from fixtures.patience import wait_for
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.stamping import StampEvent
 
 
 class QueuePort:
@@ -101,3 +105,24 @@ def test_most_frequent_reason_is_reported_as_last_rejection(driver):
         driver.tally.add("scan", reasons.GARBAGE, 40)
         driver.tally.add("scan", reasons.MUTE)
         assert driver.health()[0].values["last rejected"] == "garbage byte"
+
+
+def test_reason_of_unusable_data_is_a_recent_rejection(driver, monkeypatch):
+    driver.port.items.put(b"1")
+    wait_for(lambda: driver.received)
+    driver.tally.add("scan", StampEvent.SHIFTED)
+    assert driver.health()[0].message == f"running; scan: {StampEvent.SHIFTED.value}"
+    driver._last_s = -math.inf
+    assert "none is usable: no complete message;" in driver.health()[0].message
+    driver.tally.add("scan", Enum("reasons", {"BAD": "bad CRC"}).BAD)
+    assert "none is usable: bad CRC;" in driver.health()[0].message
+    monkeypatch.setattr("trackslip_drivers.nodes.driver.REPORT_TIME", 0.0)
+    assert "none is usable: no complete message;" in driver.health()[0].message
+
+
+def test_port_without_permission_names_the_group(driver):
+    driver.link._note_error(PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+    driver.link._set_port(None)
+    assert driver.health()[0].message.endswith(
+        "not connected (Permission denied); add this user to the group of the port (dialout)"
+    )

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fixtures.observer import last_of, last_values, values_of
 from fixtures.own_node import started
+from fixtures.patience import wait_for
 from fixtures.plugged_devices import (
     FIELD,
     RATE,
@@ -159,6 +160,13 @@ def test_scanner_is_stopped_though_its_port_reopens_during_deactivation(domain, 
         pass
     assert node.was_reopened
     assert node._session.phase is Phase.STOPPED
+
+
+def test_silent_scanner_is_not_reported_as_running_while_its_rate_is_looked_for(domain, tmp_path):
+    with started(SickNode, domain, serial_port=str(tmp_path / "tty")) as node:
+        period = node.period
+        wait_for(lambda: node._session.baud == 9600)
+        assert node.period == period
 
 
 def test_the_status_of_the_scanner_is_reported(programs, observer, device):

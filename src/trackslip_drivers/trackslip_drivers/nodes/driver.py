@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of the driver nodes: one link to a sensor, stamps on the host's clock, and health."""
 
+import errno
 import math
+import os
 import time
 from collections import defaultdict
 from collections.abc import Mapping
@@ -19,7 +21,7 @@ from trackslip_drivers.serial_parameters import SerialParameters
 from trackslip_drivers.stamping import MonotonicStamps, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
-from trackslip_drivers.transports.serial_port import SerialPort
+from trackslip_drivers.transports.serial_port import BUSY, SerialPort
 
 P = TypeVar("P", bound=Parameters)
 L = TypeVar("L", bound=SerialParameters)
@@ -34,6 +36,11 @@ _SILENCE_LIMIT = 5.0  # s without data, after which ``unusable_data_message`` is
 _SETTLING_TIME = 1.0  # s beyond the limit in which unusable data are only a warning
 _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
+_STAMP_EVENTS = (StampEvent.SHIFTED.value, StampEvent.CLOCK_JUMPED.value)  # these reject nothing
+_REMEDIES = {  # text of an error of the port → remedy
+    os.strerror(errno.EACCES): "add this user to the group of the port (dialout)",
+    BUSY: "end that program",
+}
 
 
 class Sample(Protocol):
@@ -138,8 +145,9 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Connection, rate, age, rejections."""
         state, now_s = self.link.state(), time.monotonic()
         if counts := self.tally.new_counts():
-            most_frequent = max(counts, key=lambda key: counts[key])  # the latest would change at each report
-            self._rejected = (self.tally.detail_or_reason(most_frequent), now_s, utc_date(time.time()))
+            key = max(counts, key=lambda key: counts[key])  # the latest would change at each report
+            event = ": ".join(key) if key[1] in _STAMP_EVENTS else ""
+            self._rejected = (event or self.tally.detail_or_reason(key), now_s, utc_date(time.time()))
         start_s, start_count = self._rate_start
         if now_s - start_s >= _RATE_INTERVAL:
             self._rate = (self._published - start_count) / (now_s - start_s)
@@ -181,12 +189,14 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
         if not state.connected and not state.was_silent:
-            return ERROR, f"{where}: not connected ({state.last_error}); {self.advice}"
+            remedy = _REMEDIES.get(state.last_error, self.advice)
+            return ERROR, f"{where}: not connected ({state.last_error}); {remedy}"
         limit_s = _STALE_PERIODS * self.period
+        reason, rejected_s, _ = self._rejected
+        is_event, is_recent = reason.endswith(_STAMP_EVENTS), now_s - rejected_s < REPORT_TIME
         if now_s - self._last_s <= limit_s:
-            rejection, rejected_s, _ = self._rejected
-            is_recent = now_s - rejected_s < REPORT_TIME
-            return (WARN, f"running; some is rejected: {rejection}") if is_recent else (OK, "running")
+            fault = reason if is_event else f"some is rejected: {reason}"
+            return (WARN, f"running; {fault}") if is_recent else (OK, "running")
         if not self._published and state.connected and state.openings == 1 and is_new:
             return WARN, f"{where}: opened, no data yet"
         dialogue = f" ({self.dialogue_state()})" if self.dialogue_state() else ""
@@ -194,7 +204,8 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             return ERROR, f"{where}: {problem}"
         if silent_s > 0.5 * limit_s or not state.has_received:
             return STALE, f"{where}: no {self.data_name}{dialogue}; {self.advice}"
-        reason = self._rejected[0] or "no complete message yet"
+        if is_event or not is_recent:
+            reason = "no complete message"
         if reason in self.transient_reasons:
             return WARN, f"{where}: {reason}{dialogue}; {self.transient_reasons[reason]}"
         message = f"{where}: {self.data_name} arrive, but none is usable: {reason}{dialogue}"

@@ -36,7 +36,10 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
     """Receives bytes; publishes ``fix``, ``fix_velocity`` and ``heading``."""
 
     device = "GNSS receiver"
-    transient_reasons = MappingProxyType({"no fix": "check that the antenna sees the sky"})
+    transient_reasons = MappingProxyType(
+        dict.fromkeys(("no fix", "receiver's warning", "dead reckoning"), "check that the antenna sees the sky")
+        | {"manual or simulated": "let the receiver measure its position"}
+    )
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix
 
     def __init__(self) -> None:

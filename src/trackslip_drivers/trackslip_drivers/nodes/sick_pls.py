@@ -111,7 +111,8 @@ class SickNode(SerialDriverNode[SickParameters]):
         now_ns = time.monotonic_ns()
         with self._lock:
             action = self._session.step(now_ns)
-            self.period = scan_period(self.settings, self._session.baud)
+            if self._session.phase is Phase.STREAMING:
+                self.period = scan_period(self.settings, self._session.baud)
         if action.baud is not None:
             baud = action.baud
             self.link.call_with_port(lambda port: port.set_baud(baud))

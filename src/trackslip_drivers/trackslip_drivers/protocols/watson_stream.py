@@ -86,7 +86,7 @@ class WatsonStream:
         self._is_overlong = False
 
     def _split_lines(self) -> Iterator[_Line]:
-        """The complete lines, without empty ones.
+        """The complete lines, without empty ones; and one for each ``limit`` of bytes without a line end.
 
         White space before a line is dropped: it may have come long before.
         """
@@ -94,16 +94,18 @@ class WatsonStream:
         while True:
             if not self._is_overlong:
                 received.discard(len(data) - len(data.lstrip()))
-            size = data.find(TERMINATOR)
-            if size < 0:
-                break
-            is_overlong = self._is_overlong or size > self.limit
-            yield _Line(None if is_overlong else bytes(data[:size]), received.begun_ns())
-            received.discard(size + 1)
-            self._is_overlong = False
-        self._is_overlong |= len(data) > self.limit
-        if self._is_overlong:
-            received.clear()
+            size = data.find(TERMINATOR, 0, self.limit + 1)
+            if size >= 0:
+                if not self._is_overlong:
+                    yield _Line(bytes(data[:size]), received.begun_ns())
+                self._is_overlong = False
+                received.discard(size + 1)
+            elif len(data) > self.limit:
+                yield _Line(None, received.begun_ns())
+                self._is_overlong = True
+                received.discard(self.limit)
+            else:
+                return
 
     def _decode_sample(self, line: _Line) -> ImuSample | None:
         """The sample of a complete line; None if it is rejected, which is counted."""

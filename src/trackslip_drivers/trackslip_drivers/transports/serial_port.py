@@ -13,6 +13,8 @@ import serial
 
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
 
+BUSY = "locked: another program has it open"
+
 _MAX_READ_SIZE = 4096  # returned at once
 _READ_DELAY_S = 0.005  # after the first byte, so that a slow line does not wake the process per byte
 _WRITE_TIMEOUT_S = 0.5
@@ -108,7 +110,7 @@ class SerialPort:
             )
         except serial.SerialException as error:
             if error.errno == errno.EAGAIN:  # the lock is taken
-                raise OSError(errno.EBUSY, "locked: another program has it open") from None
+                raise OSError(errno.EBUSY, BUSY) from None
             raise
 
     def _is_parity_ignored(self) -> bool:
