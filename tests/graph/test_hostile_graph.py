@@ -5,6 +5,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from fixtures.own_node import started
@@ -16,6 +17,7 @@ from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.rate_limiter import MAX_BURST
+from trackslip_estimation.nodes.gnss_localizer import GnssLocalizerNode
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 
@@ -61,6 +63,60 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
         subscription.callback(serialize_message(pose))
     assert estimator.tally.total["box_pose", "of another frame"] == 2
     assert "box_pose: of another frame" in estimator.health()[0].values
+
+
+@pytest.mark.parametrize(
+    ("names", "seconds", "reason"),
+    [
+        (["left", "right"], 5, "not_finite: check names, positions and velocities"),
+        (["left_sprocket", "right_sprocket"], 5, "duplicate: check the stamps"),
+        (["left_sprocket", "right_sprocket"], 0, "too_late: check the stamps"),
+    ],
+)
+def test_rejected_sprockets_are_an_error_with_their_reason(
+    estimator: SlipEstimatorNode, names: list[str], seconds: int, reason: str
+) -> None:
+    receive = {s.topic_name: s.callback for s in estimator.subscriptions}
+    pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
+    pose.header.frame_id, pose.header.stamp.sec = "map", 5
+    pose.pose.covariance[:] = np.eye(6).ravel() * 1e-4
+    sprockets = make("sensor_msgs/msg/JointState", name=["left_sprocket", "right_sprocket"])
+    sprockets.velocity = sprockets.position = [0.0, 0.0]
+    sprockets.header.stamp.sec = 5
+    receive["/box_pose"](serialize_message(pose))
+    receive["/sprockets"](serialize_message(sprockets))
+    assert "sprockets rejected" not in estimator.health()[0].message
+    sprockets.name, sprockets.header.stamp.sec = names, seconds
+    receive["/sprockets"](serialize_message(sprockets))
+    estimator._sources._used_s -= 1.0
+    health = estimator.health()[0]
+    assert (health.level, f"({reason}" in health.message) == (ERROR, True), health.message
+
+
+def test_stamp_beyond_all_times_is_no_failure(estimator: SlipEstimatorNode) -> None:
+    receive = {s.topic_name: s.callback for s in estimator.subscriptions}
+    for topic in ("sprockets", "imu/data_raw", "box_pose"):
+        message = topic_class(topic)()
+        message.header.frame_id = "map"
+        message.header.stamp.sec, message.header.stamp.nanosec = 2**31 - 1, 2**32 - 1
+        receive[f"/{topic}"](serialize_message(message))
+    assert estimator.callback_failures.last == ""
+
+
+def test_receiver_of_one_hertz_is_not_lost_between_two_fixes(domain: int) -> None:
+    with started(GnssLocalizerNode, domain) as node:
+        (subscription,) = (s for s in node.subscriptions if s.topic_name == "/fix")
+        assert node.health()[0].message == "no fixes"
+        fix = make("sensor_msgs/msg/NavSatFix", latitude=48.0, longitude=11.0)
+        fix.status.status = 0
+        fix.position_covariance, fix.position_covariance_type = np.eye(3).ravel(), 2
+        for _ in range(node.settings.datum_fixes):
+            subscription.callback(fix)
+        node.health()
+        subscription.callback(fix)
+        assert [node.health()[0].message for _ in range(2)] == ["running", "running"]
+        node._received_s -= 10.0
+        assert node.health()[0].message == "no fixes"
 
 
 def test_flood_of_messages_is_dropped_and_its_publisher_named(

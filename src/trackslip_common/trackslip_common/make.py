@@ -7,6 +7,9 @@ from typing import Any, Protocol
 from trackslip_common.units import NS_PER_S
 
 
+_LATEST_NS = 2**31 * NS_PER_S - 1  # of a stamp; a received one may be later, by its nanoseconds
+
+
 class MessageFactory(Protocol):
     """Builds a message, rclpy's or a bag's own: ``make("std_msgs/msg/Header", stamp=…, frame_id=…)``."""
 
@@ -16,7 +19,7 @@ class MessageFactory(Protocol):
 
 def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
     """std_msgs/Header."""
-    sec, nanosec = divmod(stamp_ns, NS_PER_S)
+    sec, nanosec = divmod(min(stamp_ns, _LATEST_NS), NS_PER_S)
     stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
@@ -24,7 +27,7 @@ def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
 def set_stamp(message: Any, stamp_ns: int) -> None:
     """Stamp a message that has a header."""
     stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(stamp_ns, NS_PER_S)
+    stamp.sec, stamp.nanosec = divmod(min(stamp_ns, _LATEST_NS), NS_PER_S)
 
 
 def stamp_ns_of(message: Any) -> int:

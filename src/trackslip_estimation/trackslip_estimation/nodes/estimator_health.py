@@ -16,9 +16,17 @@ _SILENCE_TIMEOUT = 0.2  # s, shortest silence that is reported
 
 
 def estimator_health(
-    estimator: SlipEstimator, watch: SourceWatch, silence_s: float | None, counts: Mapping[str, Any]
+    estimator: SlipEstimator,
+    watch: SourceWatch,
+    silence_s: float | None,
+    counts: Mapping[str, Any],
+    sprocket_fault: str = "",
 ) -> Health:
-    """Return the entry; ``silence_s``: since the last sprocket sample, None before the first one."""
+    """Return the entry.
+
+    ``silence_s``: since the last usable sprocket sample, None before the first sample; ``sprocket_fault``: why
+    the last sample is unusable.
+    """
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
     explanations = estimator.competing_explanations.text
     learned = learned_quantities(estimator.learned, estimator.learned_context)
@@ -33,6 +41,8 @@ def estimator_health(
         "last events": recent_events_text(estimator.read_events()),
     }
     if silence_s is not None and silence_s > max(p.sprocket_timeout, _SILENCE_TIMEOUT):
+        if sprocket_fault:
+            return Health(ERROR, f"sprockets rejected for {silence_s:.1f} s ({sprocket_fault})", values)
         return Health(ERROR, f"sprockets silent for {silence_s:.1f} s", values)
     diverged = "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""
     if not estimator.started:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``gnss_localizer``: positions of a GNSS antenna in metres east and north, from fixes of its receiver."""
 
+import math
 import sys
+import time
 from typing import Any
 
 from trackslip_common.nodes.base import TrackslipNode
@@ -12,8 +14,11 @@ from trackslip_common.nodes.run import run
 from trackslip_estimation.gnss import conversions
 from trackslip_estimation.gnss.localizer import FIX, GnssLocalizer, Reason
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
+from trackslip_estimation.slip.silence import SilenceMonitor
 
 POSE, DATUM = "gnss_pose", "gnss_localizer/datum"
+
+_SILENCE_TIMEOUT = 2.0  # s
 
 
 class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
@@ -26,7 +31,10 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         """Create the localizer."""
         self._localizer = GnssLocalizer(self.settings)
         self._fixes = self._poses = 0
-        self._reported_counts = (0, 0)
+        self._reported_poses = 0
+        self._received_s = -math.inf  # steady
+        self._silence = SilenceMonitor()
+        self._result = (WARN, "no fixes")  # of the latest fixes
         self._published_datum = False
         self._pose = self.advertise(topic_class(POSE), POSE)
         self._datum = self.advertise(topic_class(DATUM), DATUM)
@@ -39,8 +47,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
 
     def health(self) -> list[Health]:
         """Return the numbers of fixes and poses, the datum, and why fixes gave no pose."""
-        poses_before, fixes_before = self._reported_counts
-        self._reported_counts = (self._poses, self._fixes)
+        poses_before, self._reported_poses = self._reported_poses, self._poses
         datum = self._localizer.datum
         datum_text = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
         values = {
@@ -50,18 +57,20 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
             **self._localizer.tally.values(),
         }
         new_rejections = self._localizer.tally.new_counts()
-        if self._fixes == fixes_before:
-            return [Health(WARN, "no fixes", values)]
-        if self._poses == poses_before:
-            return [
-                Health(WARN, f"all fixes rejected: {', '.join(why for _, why in new_rejections)}", values)
-            ]
-        if new_rejections:
-            return [Health(WARN, f"{sum(new_rejections.values())} rejected", values)]
-        return [Health(OK, "running", values)]
+        if time.monotonic() - self._received_s > self._silence.limit(_SILENCE_TIMEOUT):
+            self._result = WARN, "no fixes"
+        elif self._poses == poses_before and new_rejections:
+            self._result = WARN, f"all fixes rejected: {', '.join(why for _, why in new_rejections)}"
+        elif new_rejections:
+            self._result = WARN, f"{sum(new_rejections.values())} rejected"
+        elif self._poses > poses_before:
+            self._result = OK, "running"
+        return [Health(*self._result, values)]
 
     def _on_fix(self, message: Any) -> None:
         self._fixes += 1
+        self._received_s = time.monotonic()
+        self._silence.add(self._received_s)
         position = self._localizer.locate(conversions.fix(message))
         if isinstance(position, Reason):
             return

@@ -18,7 +18,7 @@ from trackslip_common.nodes.messages import message_class, topic_class
 from trackslip_common.nodes.qos import latched_qos
 from trackslip_common.topics import FIX_VELOCITY
 from trackslip_estimation.slip import conversions
-from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measurement
+from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measurement, Outcome, Report
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
@@ -31,6 +31,7 @@ from trackslip_estimation.slip.static_frames import StaticFrames
 
 Convert: TypeAlias = Callable[[Any], Measurement | Rejection]
 _DEPTH = 100  # several publishers latch one message each
+_UNUSABLE_STAMPS = (Outcome.TOO_LATE, Outcome.DUPLICATE, Outcome.AHEAD)
 _ANGLES = ("mounting_roll", "mounting_pitch", "mounting_yaw")
 
 
@@ -79,11 +80,12 @@ class MeasurementSources:
     """Passes each measurement to ``process``; the node counts those rejected before."""
 
     def __init__(
-        self, node: TrackslipNode[SlipEstimatorParameters], process: Callable[[Measurement], None]
+        self, node: TrackslipNode[SlipEstimatorParameters], process: Callable[[Measurement], Report]
     ) -> None:
         p = node.settings
         self._node, self._process = node, process
-        self._received_s: float | None = None  # steady: when the last sprocket sample came
+        self._used_s: float | None = None  # steady: of the first or the last usable sprocket sample
+        self.sprocket_fault = ""  # of the last sprocket sample, with the remedy; empty if it is usable
         self._frames = p.frames_of_sources()
         node.subscribe_packed(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self._pose_set = node.advertise(topic_class(POSE_SET), POSE_SET)
@@ -110,8 +112,8 @@ class MeasurementSources:
 
     @property
     def sprocket_silence_s(self) -> float | None:
-        """Time since the last sprocket sample, s; None before the first one."""
-        return None if self._received_s is None else time.monotonic() - self._received_s
+        """Time since the last usable sprocket sample, s; None before the first one."""
+        return None if self._used_s is None else time.monotonic() - self._used_s
 
     def _subscribe(self, kind: type, source: str, convert: Convert, *, packed: bool = True) -> None:
         """Subscribe to a source; reject messages in another frame than the configured one."""
@@ -128,8 +130,16 @@ class MeasurementSources:
         subscribe(kind, source, on_message)
 
     def _on_sprockets(self, message: Any) -> None:
-        self._received_s = time.monotonic()
-        self._process(conversions.sprockets(message, "sprockets"))
+        report = self._process(conversions.sprockets(message, "sprockets"))
+        reason = (report.fault or report.outcome).name.lower()
+        if report.outcome in _UNUSABLE_STAMPS:
+            self.sprocket_fault = f"{reason}: check the stamps of their publisher"
+        elif report.outcome is Outcome.INVALID:
+            self.sprocket_fault = f"{reason}: check names, positions and velocities of their publisher"
+        else:
+            self.sprocket_fault = ""
+        if self._used_s is None or not self.sprocket_fault:
+            self._used_s = time.monotonic()
 
     def _on_set_pose(self, message: Any) -> None:
         """Republish the pose, then use it: a recorder may not have discovered its publisher in time."""

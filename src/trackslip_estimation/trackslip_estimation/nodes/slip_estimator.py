@@ -87,9 +87,11 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def health(self) -> list[Health]:
         """Return the entries of estimator, setup check and state file, with counts of rejected inputs."""
         counts = {"measurements": self._processed, "estimates": self._estimates, **self.tally.values()}
-        silence = self._sources.sprocket_silence_s
+        sources = self._sources
         return [
-            estimator_health(self._estimator, self._watch, silence, counts),
+            estimator_health(
+                self._estimator, self._watch, sources.sprocket_silence_s, counts, sources.sprocket_fault
+            ),
             *self._setup.health(),
             *self._state_keeper.health(),
         ]
@@ -115,7 +117,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         response.success, response.message = self.active, text if self.active else "the node is not active"
         return response
 
-    def _process(self, estimator_input: Input) -> None:
+    def _process(self, estimator_input: Input) -> Report:
         report, estimate = self._estimator.process(estimator_input)
         if estimate is not None:  # first: controllers use it
             self._outputs.publish(estimate)
@@ -129,6 +131,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         for reason in (report.fault, report.attitude):
             if reason is not None:
                 self.tally.add(report.source, reason)
+        return report
 
     def _publish_report(self, report: Report) -> None:
         if report.source not in self._reports:
