@@ -140,7 +140,7 @@ class Recording:
         self._try_on_disk(self._keep_to_budget)
         self._try_on_disk(self._watch_disk)
         self._progress.show(self.minutes_left)
-        if lost := self.losses.new_losses_text():
+        if (lost := self.losses.new_losses_text()) and not self.disk_error:  # else stated once, and counted
             self._log.error(f"lost {lost}")
 
     def close(self) -> None:
@@ -148,7 +148,10 @@ class Recording:
         self._try_on_disk(self._saving.result)
         self._try_on_disk(self.bag.close)
         self._disk.shutdown()
-        self._log.info(f"{sum(self.bag.counts.values())} messages in {self.bag.path}")
+        if self.disk_error:
+            self._log.error(f"{self.disk_error}: {self.bag.path} is incomplete")
+        else:
+            self._log.info(f"{sum(self.bag.counts.values())} messages in {self.bag.path}")
         if self.losses.total:
             self._log.error(f"{self.losses.total.total()} messages were lost")
 
