@@ -42,6 +42,7 @@ class CanBus:
         is_system = interface == "socketcan" and "bitrate" in options
         self.note = f"{channel}: ip link sets the bitrate, not python-can" if is_system else ""
         self._is_off = False
+        self._is_text = interface == "slcan"
         self._bus = can.Bus(channel=channel, interface=interface, **options)
         if interface == "udp_multicast":
             try:
@@ -78,13 +79,22 @@ class CanBus:
 
     def _frames(self) -> Iterator[tuple[CanFrame, int]]:
         """Yield each frame before the next is looked for."""
-        message = self._bus.recv(READ_TIMEOUT_S)
+        message = self._receive(READ_TIMEOUT_S)
         while message is not None:
             frame = (flagged_id(message), bytes(message.data))
             if message.is_error_frame:
                 self._is_off = bus_state(*frame) is BusState.OFF
             yield frame, _stamp_ns(message)
-            message = self._bus.recv(0.0)
+            message = self._receive(0.0)
+
+    def _receive(self, timeout_s: float) -> can.Message | None:
+        """One frame; a damaged line of an adapter becomes an error frame: to open again takes seconds."""
+        try:
+            return self._bus.recv(timeout_s)
+        except (ValueError, IndexError):
+            if not self._is_text:
+                raise
+            return can.Message(is_error_frame=True)
 
     def close(self) -> None:
         """Release the bus."""
