@@ -69,15 +69,16 @@ def test_exception_in_a_callback_is_counted_and_reported(failures, clock):
 
 def test_the_same_cause_is_logged_again_only_after_a_while(failures, clock, log):
     guarded = failures.guard(fail, "scan")
-    for _ in range(100):
-        guarded()
+    for number in range(100):  # with a text of its own each
+        guarded(number)
     assert len(log) == 1
     assert "scan: ValueError: bad value 0 (test_callback_failures.py:" in log[0]
-    guarded(5)
-    assert len(log) == 2
+    failures.guard(int, "scan")("x")
+    failures.guard(fail, "imu")()
+    assert len(log) == 3
     clock.now += LOG_PERIOD_S
     guarded()
-    assert len(log) == 3
+    assert len(log) == 4
 
 
 def repeat(guarded, clock, seconds, step=0.5):

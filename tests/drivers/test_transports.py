@@ -175,6 +175,20 @@ class BrokenPort:
         self.closed.append(self)
 
 
+def test_error_is_known_before_the_port_is_closed(start_link):
+    links, errors = [], []
+
+    class SlowPort(BrokenPort):
+        def close(self):
+            errors.append(links[0].state().last_error)
+
+    opened = threading.Event()
+    links.append(start_link(lambda: opened.wait() and SlowPort(OSError(5, "gone"), [])))
+    opened.set()
+    wait_for(lambda: errors)
+    assert errors[0] == "gone"
+
+
 @pytest.mark.parametrize(
     "error", [OSError(5, "gone"), termios.error(22, "bad"), can.CanOperationError("off")]
 )

@@ -53,7 +53,7 @@ class CallbackFailures:
         self._log, self._clock = log, clock
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()  # by callback
-        self._logged_s: dict[str, float] = {}  # time of the last log line of each cause
+        self._logged_s: dict[tuple[object, ...], float] = {}  # time of the last log line of each cause
         self._streak, self._began_s, self._last_s = 0, 0.0, 0.0
         self.last = ""
 
@@ -86,15 +86,17 @@ class CallbackFailures:
     def add(self, name: str, error: Exception) -> None:
         """Count one failure."""
         now_s, text = self._clock(), f"{name}: {describe_exception(error)}"
+        place = traceback.extract_tb(error.__traceback__)[-1:]
+        cause = (name, type(error), *((frame.filename, frame.lineno) for frame in place))  # texts may vary
         with self._lock:
             if not self._streak or now_s - self._last_s > PAUSE_S:
                 self._streak, self._began_s = 0, now_s
             self._streak += 1
             self._counts[name] += 1
             self._last_s, self.last = now_s, text
-            is_logged = now_s - self._logged_s.get(text, -LOG_PERIOD_S) >= LOG_PERIOD_S
+            is_logged = now_s - self._logged_s.get(cause, -LOG_PERIOD_S) >= LOG_PERIOD_S
             if is_logged:
-                self._logged_s[text] = now_s
+                self._logged_s[cause] = now_s
         if is_logged:
             self._log(f"callback failed: {text}")
 

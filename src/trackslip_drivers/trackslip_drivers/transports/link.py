@@ -154,6 +154,8 @@ class Link(Generic[T]):
                         received = self._state.has_received = True
                         self._state.received_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
+                except Exception as error:  # noqa: BLE001 (noted before the port is closed, which takes time)
+                    self._note_error(error)
                 finally:
                     self._set_port(None)
                     port.close()
