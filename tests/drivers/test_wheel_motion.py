@@ -5,7 +5,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from trackslip_common.config_files import load_parameters
@@ -102,7 +102,8 @@ def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
     turning = radius * (sample.right_velocity - sample.left_velocity) / separation
     assert turning == pytest.approx(rate, abs=1e-9)
     assert math.isnan(sample.left_position)
-    assert sample_of_speeds(S, math.nan, rate, p) is Rejection.NOT_A_NUMBER
+    for impossible in (math.nan, 1.7e308):
+        assert sample_of_speeds(S, impossible, rate, p) is Rejection.NOT_A_NUMBER
 
 
 @pytest.mark.parametrize("names", [[], [""], ["front_right_wheel"], ["a", "a"]])
@@ -111,8 +112,10 @@ def test_impossible_joint_settings_are_refused(names):
         parameters(left_joints=names)
 
 
+@example([1e308] * 5, [1e308] * 5, NAMES)
+@example([1e308] * 5, [], NAMES)
 @given(st.lists(st.floats(), max_size=5), st.lists(st.floats(), max_size=5), st.lists(st.sampled_from(NAMES)))
 def test_any_message_gives_finite_speeds_or_a_rejection(positions, velocities, names):
     sample = JointMotion(parameters()).sample(S, names, positions, velocities)
     if not isinstance(sample, Rejection):
-        assert math.isfinite(sample.left_velocity + sample.right_velocity)
+        assert all(map(math.isfinite, (sample.left_velocity, sample.right_velocity)))

@@ -83,7 +83,7 @@ class JointMotion:
         if not values:
             return math.nan, math.nan
         left, right = (
-            ratio * math.fsum(values[index[name]] for name in joints) / len(joints)
+            ratio * sum(values[index[name]] for name in joints) / len(joints)
             for joints, ratio in self._sides
         )
         return left, right
@@ -101,9 +101,9 @@ class JointMotion:
 
 def sample_of_speeds(stamp_ns: int, v: float, rate: float, p: WheelParameters) -> SprocketSample | Rejection:
     """The sample of a base controller's speeds; its positions are nan."""
-    if not (math.isfinite(v) and math.isfinite(rate)):
-        return Rejection.NOT_A_NUMBER
     half = rate * p.wheel_separation / 2.0
     r = p.vehicle.kinematics.rolling_radius
     left, right = (v - half) / r, (v + half) / r
+    if not (math.isfinite(left) and math.isfinite(right)):
+        return Rejection.NOT_A_NUMBER
     return SprocketSample(stamp_ns, math.nan, math.nan, left, right)
