@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from fixtures.ntrip_caster import OK, Caster, Serve, rtcm
+from fixtures.patience import wait_for
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
@@ -208,6 +209,18 @@ def test_each_fault_is_named_and_corrections_come_again_after_it(
     assert out + err == ""
     for secret in (PASSWORD, USER, base64.b64encode(f"{USER}:{PASSWORD}".encode()).decode()):
         assert secret not in texts
+
+
+def test_caster_without_tls_is_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = int(server.getsockname()[1])
+        p = parameters(port, tls=True)
+        client = NtripClient(p, None, LINE_RATE, lambda _: None, lambda: GGA)
+        client.start()
+        with server.accept()[0] as connection:
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+            wait_for(lambda: "check ntrip.tls" in client.state().fault)
+        client.stop()
 
 
 def test_flood_reaches_the_receiver_no_faster_than_its_line(casters: Callable[..., Caster]) -> None:

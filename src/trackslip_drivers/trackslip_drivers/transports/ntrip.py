@@ -338,6 +338,9 @@ class NtripClient:
         if isinstance(error, HTTPException):
             is_closed = isinstance(error, RemoteDisconnected | IncompleteRead)
             return "closed the connection" if is_closed else "answers no HTTP"
+        if isinstance(error, ssl.SSLError):
+            reason = getattr(error, "verify_message", "") or error.reason
+            return f"no TLS connection ({reason}); check ntrip.tls and ntrip.host"
         if isinstance(error, OSError) and error.strerror:
             return f"not connected ({error.strerror})"
         return f"not connected ({type(error).__name__})"
