@@ -16,6 +16,7 @@ from fixtures.patience import wait_for
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.protocols.sick_telegram import TelegramFault
 from trackslip_drivers.stamping import StampEvent
 
 
@@ -114,7 +115,7 @@ def test_reason_of_unusable_data_is_a_recent_rejection(driver, monkeypatch):
     assert driver.health()[0].message == f"running; scan: {StampEvent.SHIFTED.value}"
     driver._last_s = -math.inf
     assert "none is usable: no complete message;" in driver.health()[0].message
-    driver.tally.add("scan", Enum("reasons", {"BAD": "bad CRC"}).BAD)
+    driver.tally.add("scan", TelegramFault.BAD_CRC)
     assert "none is usable: bad CRC;" in driver.health()[0].message
     monkeypatch.setattr("trackslip_drivers.nodes.driver.REPORT_TIME", 0.0)
     assert "none is usable: no complete message;" in driver.health()[0].message

@@ -6,7 +6,6 @@ from typing import Any, Protocol
 
 from trackslip_common.units import NS_PER_S
 
-
 _LATEST_NS = 2**31 * NS_PER_S - 1  # of a stamp; a received one may be later, by its nanoseconds
 
 

@@ -37,7 +37,9 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
 
     device = "GNSS receiver"
     transient_reasons = MappingProxyType(
-        dict.fromkeys(("no fix", "receiver's warning", "dead reckoning"), "check that the antenna sees the sky")
+        dict.fromkeys(
+            ("no fix", "receiver's warning", "dead reckoning"), "check that the antenna sees the sky"
+        )
         | {"manual or simulated": "let the receiver measure its position"}
     )
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix

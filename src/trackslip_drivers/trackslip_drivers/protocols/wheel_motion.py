@@ -83,8 +83,7 @@ class JointMotion:
         if not values:
             return math.nan, math.nan
         left, right = (
-            ratio * sum(values[index[name]] for name in joints) / len(joints)
-            for joints, ratio in self._sides
+            ratio * sum(values[index[name]] for name in joints) / len(joints) for joints, ratio in self._sides
         )
         return left, right
 

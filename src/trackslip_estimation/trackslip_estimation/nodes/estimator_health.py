@@ -24,8 +24,8 @@ def estimator_health(
 ) -> Health:
     """Return the entry.
 
-    ``silence_s``: since the last usable sprocket sample, None before the first sample; ``sprocket_fault``: why
-    the last sample is unusable.
+    ``silence_s``: since the last usable sprocket sample, None before the first sample;
+    ``sprocket_fault``: why the last sample is unusable.
     """
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
     explanations = estimator.competing_explanations.text
