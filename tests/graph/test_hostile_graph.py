@@ -17,6 +17,7 @@ from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.rate_limiter import MAX_BURST
+from trackslip_estimation.nodes.box_localizer import BoxLocalizerNode
 from trackslip_estimation.nodes.gnss_localizer import GnssLocalizerNode
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
@@ -117,6 +118,17 @@ def test_receiver_of_one_hertz_is_not_lost_between_two_fixes(domain: int) -> Non
         assert [node.health()[0].message for _ in range(2)] == ["running", "running"]
         node._received_s -= 10.0
         assert node.health()[0].message == "no fixes"
+
+
+def test_slow_scanner_is_not_lost_between_two_scans(domain: int) -> None:
+    with started(BoxLocalizerNode, domain) as node:
+        (subscription,) = (s for s in node.subscriptions if s.topic_name == "/scan")
+        assert node.health()[0].message.startswith("no scans")
+        subscription.callback(make("sensor_msgs/msg/LaserScan"))
+        texts = {node.health()[0].message for _ in range(2)}
+        assert texts == {"box not found; clear the view of the laser"}
+        node._received_s -= 10.0
+        assert node.health()[0].message.startswith("no scans")
 
 
 def test_flood_of_messages_is_dropped_and_its_publisher_named(

@@ -178,7 +178,7 @@ class Recording:
             work()
         except OSError as error:
             self.disk_error = f"cannot write ({error.strerror})"
-            self._log.error(f"{self.disk_error}: further messages are lost")
+            self._log.error(f"{self.disk_error}: further messages are lost until the recorder starts again")
             for topic, count in self.bag.unsaved.items():
                 self.losses.add(topic, count)
             self.bag.abandon()

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``box_localizer``: pose of the machine from laser scans of the box on its cab."""
 
+import math
 import sys
+import time
 from typing import Any
 
 import numpy as np
@@ -22,10 +24,15 @@ from trackslip_estimation.box.search import Reason
 from trackslip_estimation.box.track_file import TrackFile
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_estimation.slip.silence import SilenceMonitor
 
 UNCERTAIN_TEXT = (
     "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
 )
+
+
+_NO_SCANS = "no scans: check the laser driver"
+_SILENCE_TIMEOUT = 2.0  # s
 
 
 class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
@@ -44,6 +51,9 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._scans = 0
         self._is_uncertain = False  # whether the box is ambiguous in the latest scan
         self._reported_counts = (0, 0)
+        self._received_s = -math.inf  # steady
+        self._silence = SilenceMonitor()
+        self._result = (WARN, _NO_SCANS)  # of the latest scans
         self._poses = self.advertise(topic_class("box_pose"), "box_pose")
         self.subscribe(topic_class("scan"), "scan", self._on_scan)
         self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
@@ -62,17 +72,21 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         values["track of the run before"] = "continued" if self._localizer.resumed else "not used"
         if self._file.failure:
             values["track file"] = self._file.failure
-        if self._scans == scans_before:
-            return [Health(WARN, "no scans: check the laser driver", values)]
-        if self._fixes == fixes_before and self._is_uncertain:
+        if self._is_uncertain:
             values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.ambiguous_positions)
-            return [Health(WARN, UNCERTAIN_TEXT, values)]
-        if self._fixes == fixes_before:
-            return [Health(WARN, "box not found; clear the view of the laser", values)]
-        return [Health(OK, "running", values)]
+        if time.monotonic() - self._received_s > self._silence.limit(_SILENCE_TIMEOUT):
+            self._result = WARN, _NO_SCANS
+        elif self._fixes > fixes_before:
+            self._result = OK, "running"
+        elif self._scans > scans_before:
+            lost = UNCERTAIN_TEXT if self._is_uncertain else "box not found; clear the view of the laser"
+            self._result = WARN, lost
+        return [Health(*self._result, values)]
 
     def _on_scan(self, message: Any) -> None:
         self._scans += 1
+        self._received_s = time.monotonic()
+        self._silence.add(self._received_s)
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         scan = Scan(stamp_ns_of(message), ranges, *geometry)
