@@ -251,6 +251,7 @@ ONE_CAUSE: dict[str, tuple[Callable[[Log], Log], str, str]] = {  # change, cause
     "right for both": (lambda log: log.with_tracks(np.eye(2)[[1, 1]]), "missing_value", "show the same"),
     "fixes in km": (lambda log: scaled_fixes(log, 1e-3), "frame", "km"),
     "fixes in km, stated coarse": (lambda log: with_stddev(scaled_fixes(log, 1e-3), 3.0), "frame", "km"),
+    "fixes in radians, declared degrees": (lambda log: scaled_fixes(log, np.pi / 180.0), "frame", "rad"),
     "fixes in cm": (lambda log: scaled_fixes(log, 100.0), "frame", "no machine does"),
     "time in days": (MISTAKES["time in days"].inject, "time_unit", "unit: d}"),
     "gyro time in ms": (
@@ -361,6 +362,21 @@ def test_mirrored_fixes_of_a_drive_with_few_turns_are_not_passed_over(
     result = check(MISTAKES[name].inject(log))
     assert {cause.cause for cause in result.causes} <= {"position_sign", "position_axes_swapped"}
     assert result.causes or any("position" in u.what or "fixes" in u.what for u in result.undetermined)
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize("name", ["no mistake", "tracks swapped", "x and y"])
+def test_a_gyro_that_does_not_show_the_turns_of_tracks_and_fixes_is_named(
+    name: str, *, has_heading: bool
+) -> None:
+    """As a column of another axis."""
+    log = make_drive(has_heading=has_heading)
+    (gyro,) = log.gyros
+    noise = np.random.default_rng(1).normal(0.002, 0.02, len(gyro.t))
+    rates = np.column_stack((np.full((len(gyro.t), 2), np.nan), noise))
+    changed = log.with_gyro(replace(gyro, rates=rates))
+    result = check(changed if name == "no mistake" else MISTAKES[name].inject(changed))
+    assert any(f"turns of {gyro.name}" in question.what for question in result.open_questions)
 
 
 STEADY = (*4 * ((8.0, 0.9, 0.0), (4.0, 0.9, 0.4), (8.0, 0.9, 0.0), (4.0, 0.9, -0.4)),)

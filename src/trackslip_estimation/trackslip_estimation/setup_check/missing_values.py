@@ -147,9 +147,10 @@ def _mark_missing_fixes(causes: list[Cause], source: str, places: FloatArray) ->
 def _missing_cause(source: str, column: str, value: float, where: BoolArray, *, numbers: int = 1) -> Cause:
     """The cause for a value that marks the readings ``where`` (n,); ``numbers`` of each reading repeat."""
     count = int(where.sum())
-    evidence = f"{column} jumps to {value:g} and back {count} times ({where.mean():.1%} of the readings)"
+    unit = "m" if column == "place" else "rad/s"
+    evidence = f"{column} jumps to {value:g} {unit} and back {count} times ({where.mean():.1%} of the readings)"
     remedy = (
-        "Leave out what stands for a missing value: blank cells, or in the "
-        f"mapping 'missing: {value:g}' at that column"
+        "Leave out what stands for a missing value: blank cells, or in the mapping 'missing: …' at that "
+        "column, with the number that it holds there"
     )
     return Cause("missing_value", source, evidence, odds_of(min(count * numbers, 20) * 2.0), remedy)

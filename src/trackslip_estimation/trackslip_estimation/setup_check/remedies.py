@@ -47,14 +47,13 @@ def gyro_scale(gyro: Gyro, factor: float) -> str:
 def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
     """Remedy for headings from north, clockwise, or else for headings of the opposite sign than stated."""
     group = group_of(compass.name)
+    renamed = "call the column 'heading' instead of 'yaw' in the mapping, or 'yaw' where it is 'heading'"
     if compass.of_poses:
-        renamed = "Call the column 'heading' instead of 'yaw' in the mapping, or 'yaw' where it is 'heading'"
-        return renamed if is_from_north else "Turn its sign: in the mapping 'scale: -1' at yaw"
+        return renamed.capitalize() if is_from_north else "Turn its sign: in the mapping 'scale: -1' at yaw"
     if not is_from_north:
         return f"Set {parameter(f'{group}.sign', -compass.sign)}; of an imported log, sign: -1 in its mapping"
     other = "compass" if compass.convention == "enu" else "enu"
-    of_log = "'heading' instead of 'yaw'" if other == "compass" else "'yaw' instead of 'heading'"
-    return f"Set {parameter(f'{group}.convention', other)}; of an imported log, call the column {of_log}"
+    return f"Set {parameter(f'{group}.convention', other)}; of an imported log, {renamed}"
 
 
 def mounting(gyro: Gyro, correction: FloatArray) -> str:

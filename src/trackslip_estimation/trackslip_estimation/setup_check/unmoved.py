@@ -8,7 +8,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
-from trackslip_estimation.setup_check.finding import READ_OFF, Cause, Finding, OpenQuestion
+from trackslip_estimation.setup_check.finding import LEAST_LOG, READ_OFF, Cause, Finding, OpenQuestion
 from trackslip_estimation.setup_check.grid import WINDOW, running_sum, window_sums
 from trackslip_estimation.setup_check.log import Fixes, Gyro
 from trackslip_estimation.setup_check.quantities import explained_distance, explained_share
@@ -22,7 +22,7 @@ _STILL = 1e-4  # extent of the fixes, share of the distance: no path is so narro
 _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the distance
 _LONGEST_HOLD = 5.0  # s for which a log may hold the last fix
-_LEAST_RATIO = 0.01  # share of the distance; with more slip, the motion does not follow the tracks
+_LEAST_RATIO = 0.03  # share of the distance; with more slip, the motion does not follow the tracks
 _RELATED, _UNRELATED = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
 _ROUNDING = 1e-9  # m
@@ -31,6 +31,7 @@ _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
 _LEAST_EQUAL = 50  # equal readings in a span
 _MOST_SPANS = 10  # spans that are examined
 _LEAST_HIDDEN_TURN = np.radians(40.0)  # of the machine, which the gyro does not show
+_EFFICIENCIES = (-0.9, -0.7, -0.5, 0.5, 0.7, 0.9)  # turning efficiencies that are tried, of either sign
 _LEAST_EFFICIENCY = 0.25  # turning efficiency of the tracks, low as on ice
 
 
@@ -52,7 +53,10 @@ def judge_fixes(drive: Drive) -> list[Finding]:
         evidence = (
             f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
-        remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
+        remedy = (
+            "State the unit of the positions in the mapping: x and y: unit (km), latitude and longitude: "
+            "unit (rad), or their frame"
+        )
         return [Cause("frame", name, evidence, READ_OFF, remedy)]
     extent = float(np.ptp(fixes.places, axis=0).max())
     if extent > min(_LEAST_EXTENT, _STILL * distance):
@@ -87,12 +91,12 @@ def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
 def judge_turns(drive: Drive) -> list[Finding]:
     """A gyro, or used headings, whose turns match neither the tracks nor each other.
 
-    A machine that hardly turns is not judged: on clay and slopes, its tracks differ for long on straights.
+    A machine that hardly turns by gyro and fixes is not judged: on clay and slopes, its tracks differ for
+    long on straights.
     """
     left, right = drive.tracks_over_tread.T
-    by_tracks = count_turns(USUAL_EFFICIENCY * (right - left))
-    turning = np.abs(drive.unbiased_turn) > _TURNING
-    if by_tracks < LEAST_TURNS or turning.sum() < _LEAST_TURNING:
+    is_turning = (np.abs(drive.unbiased_turn) > _TURNING).sum() >= _LEAST_TURNING
+    if count_turns(USUAL_EFFICIENCY * (right - left)) < LEAST_TURNS:
         return []
     by_gyro, gyro_windows = explained_share(drive.turn, drive.tracks_over_tread)
     by_heading, heading_windows = explained_share(drive.heading_turn, drive.tracks_over_tread)
@@ -100,13 +104,21 @@ def judge_turns(drive: Drive) -> list[Finding]:
     gyro, compass, mismatches = drive.gyro, drive.compass, []
     if gyro is None or gyro_windows < _LEAST_WINDOWS or drive.is_swing_unknown:
         return []
-    if max(by_gyro, mutual) < _UNRELATED:
+    if max(by_gyro, mutual) < _UNRELATED and (is_turning or _turns_as_tracks(drive)):
         mismatches.append(f"turns of {gyro.name} that neither tracks nor headings show")
-    is_shown = compass is not None and compass.is_used and heading_windows >= _LEAST_WINDOWS
+    is_shown = compass is not None and compass.is_used and heading_windows >= _LEAST_WINDOWS and is_turning
     if compass is not None and is_shown and max(by_heading, mutual) < _UNRELATED and by_gyro > _RELATED:
         mismatches.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
     needed = "look at its column as it comes, while the machine turns left and right by 90°"
     return [OpenQuestion(what, needed, is_wrong=True) for what in mismatches]
+
+
+def _turns_as_tracks(drive: Drive) -> bool:
+    """Whether the path of the fixes turns as the tracks do, and not as the gyro of either sign."""
+    both, by_tracks = np.ones(2), np.diff(drive.grid.tracks)[:, 0] / drive.machine.tread
+    turns = [*(k * by_tracks for k in _EFFICIENCIES), drive.gyro_turn, -drive.gyro_turn]
+    logs = drive.path_fits([(both, turn) for turn in turns]).logs
+    return float(logs[:-2].max() - logs[-2:].max()) > LEAST_LOG
 
 
 def judge_counting(drive: Drive) -> list[Finding]:
