@@ -222,6 +222,25 @@ def test_argument_that_is_no_frame_is_refused_by_name(frame: Any) -> None:
         estimator().run(frame)
 
 
+class IndexedFrame(dict[str, np.ndarray]):
+    """As a frame of pandas with times as its index."""
+
+    class index:
+        names = ("t",)
+
+    columns = property(dict.keys)
+
+    def reset_index(self) -> dict[str, np.ndarray]:
+        return {"t": drive(SHORT)["t"], **self}
+
+
+def test_times_may_be_the_index_of_a_frame(short_result: ts.Result) -> None:
+    columns = drive(SHORT)
+    del columns["t"]
+    again = estimator().run(IndexedFrame(columns))
+    assert np.array_equal(again.estimates.pose, short_result.estimates.pose)
+
+
 def test_names_of_columns_are_free(short_result: ts.Result) -> None:
     names = ("# t", " left", 'the "right"', "gz, deg/s", "x\n1", "角速度")
     columns = dict(zip(names, drive(SHORT).values(), strict=True))

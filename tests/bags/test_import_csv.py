@@ -206,6 +206,9 @@ TIMES = {
     "20261120T143000,5Z": 1_795_185_000_500_000_000,
     "20.11.2026 14:30:00,5": 1_795_185_000_500_000_000,
     "2026/11/20 14:30:00.5": 1_795_185_000_500_000_000,
+    "20-Nov-2026 14:30:00.5": 1_795_185_000_500_000_000,
+    "20 November 2026 14:30:00.5": 1_795_185_000_500_000_000,
+    "2026-11-20 14:30:00:500": 1_795_185_000_500_000_000,
     "2026-11-20 14:30:00.5 UTC": 1_795_185_000_500_000_000,
     "2026-11-20T14:30:00.5GMT": 1_795_185_000_500_000_000,
 }
@@ -333,6 +336,7 @@ def test_words_for_no_value_leave_a_row_out(tmp_path: Path) -> None:
             "goes back from 2026-10-25T02:59:59.95Z to 2026-10-25T02:00:00Z;",
         ),
         (("12:00:00", "11:59:59"), "hh:mm:ss", "goes back from 43200 s to 43199 s;"),
+        (("30:00.1", "30:61.0"), "mm:ss", ": '30:61.0' is not accepted; accepted: as 30:00.25,"),
         (("12:00:00", "12:61:00"), "hh:mm:ss", ": '12:61:00' is not accepted; accepted: as 14:30:00.25,"),
     ],
 )
@@ -354,6 +358,56 @@ def test_times_of_day_without_colons_are_no_seconds(tmp_path: Path) -> None:
     stamps = [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]]
     assert stamps[60] - stamps[59] == 1.0
     assert stamps[-1] - stamps[0] == pytest.approx(10 * 3600 + 119.0)
+
+
+@pytest.mark.parametrize(
+    ("times", "unit"),
+    [
+        (("604798", "604799.5", "0.5"), "s"),  # of a GPS week
+        (("604798000", "604799500", "500"), "ms"),
+        (("4294000000", "4294967295", "967295"), "us"),  # 32 bit
+        (("4294966296", "4294967295", "999"), "ms"),
+        (("59:58.0", "59:59.5", "00:00.5"), "mm:ss"),
+        (("23:59:58", "23:59:59:500", "00:00:00:500"), "hh:mm:ss"),
+    ],
+)
+def test_times_that_begin_again_go_on(times: tuple[str, ...], unit: str, tmp_path: Path) -> None:
+    log = "".join(("t,l,r\n", *(f"{time},1,1\n" for time in times)))
+    time = {"column": "t", "unit": unit}
+    result, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=time)
+    stamps = [stamp_ns_of(message) * 1e-9 for message in messages["sprockets"]]
+    assert 0.9 < stamps[2] - stamps[1] < 1.1
+    assert [note for note in result.notes if "begins again" in note]
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude"),
+    [
+        ("33°53'20.4\"S", "151°11'34.8\"W"),
+        ("S 33° 53' 20.4''", "W151°11'34.8''"),
+        ('"33°53\'20.4""S"', '"151 11 34.8 W"'),
+        ("-33°53.34'", "-151°11.58'"),
+        ("33.889 S", "151.193W"),
+        ("-33.889°", "-151.193º"),
+        ("33°53.34′S", "151° 11′ 34.8″ W"),
+    ],
+)
+def test_positions_with_signs_of_degrees_or_letters_are_read(
+    latitude: str, longitude: str, tmp_path: Path
+) -> None:
+    degrees = {name: {"column": name, "unit": "deg"} for name in ("latitude", "longitude")}
+    log = f"t;latitude;longitude\n1;{latitude};{longitude}\n2;-;NaN\n3;{latitude};{longitude}\n"
+    _, messages = imported(tmp_path, log, {"fix": degrees})
+    for message in messages["fix"]:
+        assert message.latitude == pytest.approx(-33.889, abs=1e-9)
+        assert message.longitude == pytest.approx(-151.193, abs=1e-9)
+
+
+@pytest.mark.parametrize("cell", ["33°53'70\"S", "33°S5", "33N S", "N", "33.889 nord"])
+def test_positions_of_another_form_are_refused(cell: str, tmp_path: Path) -> None:
+    degrees = {name: {"column": name, "unit": "deg"} for name in ("latitude", "longitude")}
+    with pytest.raises(InputError, match="line 2, column 'latitude'"):
+        imported(tmp_path, f"t;latitude;longitude\n1;{cell};9\n", {"fix": degrees})
 
 
 class Written(NamedTuple):

@@ -160,6 +160,8 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
     """The named columns of a frame of any kind, for a table of text."""
     if isinstance(frame, pl.LazyFrame):
         frame = frame.collect()
+    if hasattr(frame, "reset_index") and set(names) & (set(frame.index.names) - set(frame.columns)):
+        frame = frame.reset_index()  # of pandas, where the time is the index
     if not isinstance(frame, Mapping) and not hasattr(frame, "columns"):
         accepted = "a data frame of pandas or polars, or a mapping of name → array"
         raise InputError(f"frame: a {type(frame).__name__} is no table; accepted: {accepted}")

@@ -18,6 +18,8 @@ from trackslip_common.yaml_tree import check_keys, flag, number, positive_number
 ISO = "iso8601"
 MONTH_FIRST, DAY_FIRST = "mm/dd/yyyy", "dd/mm/yyyy"  # as ISO, but for the order of the date
 CLOCK = "hh:mm:ss"  # time of day, which begins again at midnight
+MINUTES = "mm:ss"  # of the hour, as Excel leaves of the time of day
+CLOCKS = (CLOCK, MINUTES)
 DEGREES_MINUTES = "ddmm.mmmm"  # of NMEA 0183: 4812.5 is 48° 12.5′
 FIRST = "first"  # as an origin: the first value of the column
 
@@ -45,7 +47,7 @@ class TimeColumn:
     """One or two columns of times, which add up: numbers of a unit, or ISO 8601 (date and time of day)."""
 
     names: tuple[str, ...]
-    units: tuple[str, ...]  # of UNITS["time"], of _DATES, or CLOCK
+    units: tuple[str, ...]  # of UNITS["time"], of _DATES or CLOCKS
     zone_ns: int = 0  # east of Greenwich, of ISO times that state no zone
 
     @property
@@ -60,8 +62,8 @@ class TimeColumn:
 
     @property
     def is_clock(self) -> bool:
-        """Whether it holds times of day."""
-        return self.units[0] == CLOCK
+        """Whether it holds times of day, or of the hour."""
+        return self.units[0] in CLOCKS
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def read_time(where: str, value: Any) -> TimeColumn:
     is_iso = tree.get("unit") in _DATES
     check_keys(where, tree, ("column", "unit"), ("zone",) if is_iso else ())
     names, zone = texts(f"{where}.column", tree["column"]), tree.get("zone", "Z")
-    accepted = (*UNITS["time"], *_DATES, CLOCK)
+    accepted = (*UNITS["time"], *_DATES, *CLOCKS)
     units = tuple(map(str, tree["unit"])) if isinstance(tree["unit"], list) else (str(tree["unit"]),)
     for unit in units:
         if unit not in accepted:
@@ -135,7 +137,7 @@ def read_time(where: str, value: Any) -> TimeColumn:
     if (
         len(names) > 2
         or (not is_iso and len(units) != len(names))
-        or (len(units) > 1 and {*_DATES, CLOCK} & set(units))
+        or (len(units) > 1 and {*_DATES, *CLOCKS} & set(units))
     ):
         raise InputError(
             f"{where}: {len(names)} columns and {len(units)} units; accepted: one of each, "

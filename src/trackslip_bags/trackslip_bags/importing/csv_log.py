@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of CSV logs by a mapping: one or several files on one time base, each with own columns and rate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
 
-from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, Column, TimeColumn
+from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, MINUTES, Column, TimeColumn
 from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_table
 from trackslip_bags.importing.local import LocalFrame, place_of
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
@@ -23,7 +23,11 @@ from trackslip_estimation.setup_check.count_angle import LEAST_ROUNDING_RATIO, M
 from trackslip_estimation.setup_check.equal_runs import new_readings
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
-_DAY_NS = 86_400 * 10**9
+_RESTARTS_NS = {  # ns after which times begin again, by their unit, and the least share of a step back
+    CLOCK: ((86_400 * 10**9,), 0.5),
+    MINUTES: ((3_600 * 10**9,), 0.5),
+    "": ((604_800 * 10**9, 2**32 * 10**3, 2**32 * 10**6), 0.99),  # GPS week, 32 bit of µs and ms
+}
 _MIN_ROWS = 3  # rows of a topic, which need more than one time
 _EARTH_RADIUS = 6.37e6  # m per radian of latitude
 _HELD = {  # role → columns that a log may hold
@@ -47,7 +51,7 @@ def read_csv_logs(
         for path in dict.fromkeys(files.values())
     }
     samples = [_samples(tables[files[topic.name]], topic, start_ns, local) for topic in topics]
-    return samples, [note for table in tables.values() for note in table.notes]
+    return samples, list(dict.fromkeys(note for table in tables.values() for note in table.notes))
 
 
 def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
@@ -81,7 +85,15 @@ def _requested(topics: Sequence[CsvTopic]) -> Requested:
         tuple(dict.fromkeys(times)),
         tuple(dict.fromkeys(texts)),
         topics[0].dialect,
+        frozenset(name for topic in topics for name in _place_names(topic)),
     )
+
+
+def _place_names(topic: CsvTopic) -> Iterator[str]:
+    """Columns of latitudes and longitudes in degrees."""
+    for field in ("latitude", "longitude"):
+        if field in topic.columns and not topic.columns[field].degrees_minutes:
+            yield from topic.columns[field].names
 
 
 def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) -> Samples:
@@ -253,7 +265,8 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
             before, after = (time_text(int(times_ns[has_time][back[0] + k]), topic.time) for k in (0, 1))
             raise InputError(
                 f"{table.path}: line {line}, column '{topic.time.name}' goes back from {before} to {after}; "
-                "accepted: times that never decrease, or 'received' beside them"
+                "accepted: rows in the order of their time (sort them, once each; at the end of summer time "
+                "record UTC), or 'received' beside them"
             )
     stamps_ns = np.where(has_time, times_ns + topic.time_offset_ns, NO_TIME)
     if topic.received is None:
@@ -264,7 +277,7 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
 
 def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     """(rows,) times, ns; NO_TIME where blank."""
-    raw_ns = _continued(table.times[column]) if column.is_clock else table.times[column]
+    raw_ns = _continued(table, column)
     if column.units == ("s",) and is_clock_without_colons(raw_ns[raw_ns != NO_TIME] * 1e-9):
         raise InputError(
             f"{table.path}: column '{column.name}' has no second 60 to 99: times of day as 143000.25; "
@@ -286,11 +299,21 @@ def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     return times_ns
 
 
-def _continued(times_ns: IntArray) -> IntArray:
-    """Times of day (rows,), ns, that go on after midnight; NO_TIME stays."""
-    continued, has_time = times_ns.copy(), times_ns != NO_TIME
-    midnights = np.cumsum(np.diff(times_ns[has_time], prepend=0) < -_DAY_NS // 2)
-    continued[has_time] += _DAY_NS * midnights
+def _continued(table: Table, column: TimeColumn) -> IntArray:
+    """Times (rows,), ns, that go on where their clock or counter begins again; NO_TIME stays."""
+    continued = table.times[column].copy()
+    has_time = continued != NO_TIME
+    times_ns = continued[has_time]
+    steps_ns = np.diff(times_ns, prepend=times_ns[:1])
+    periods_ns, share = _RESTARTS_NS[column.units[0] if column.is_clock else ""]
+    for period_ns in () if column.is_iso else periods_ns:
+        begins_again = steps_ns < -share * period_ns
+        if begins_again.any() and times_ns.min() >= 0 and times_ns.max() <= period_ns:
+            continued[has_time] += period_ns * np.cumsum(begins_again)
+            table.notes.append(
+                f"column '{column.name}' begins again after {period_ns * 1e-9:.10g} s; made continuous"
+            )
+            break
     return continued
 
 

@@ -41,6 +41,11 @@ _BLANK = (
     *("", "-", "--", "---", "?", "na", "n/a", "n.a.", "#n/a", "nil", "null", "(null)", "none", "undefined"),
     *("nan", "-nan", "nat", "<na>", "1.#qnan", "-1.#ind", "#value!", "#div/0!", "#num!"),
 )
+_HAS_MARKS = "[°ºNSEW]"
+_MARKED = re.compile(  # degrees, minutes and seconds, with signs or a hemisphere
+    r"([NSEW]?) ?([+-]?)(\d+(?:\.\d+)?) ?[°º]? ?"
+    r"(?:([0-5]?\d(?:\.\d+)?) ?['′’]? ?)?(?:([0-5]?\d(?:\.\d+)?) ?(?:[\"″”]|''|’’)? ?)?([NSEW]?)"
+)
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _BLOCK = 20_000  # rows
 _HEAD = 200  # lines
@@ -54,6 +59,7 @@ class Requested(NamedTuple):
     times: tuple[TimeColumn, ...]
     texts: tuple[str, ...]
     dialect: Dialect = Dialect()
+    places: frozenset[str] = frozenset()  # of the numbers, latitudes and longitudes
 
     @property
     def names(self) -> list[str]:
@@ -210,6 +216,8 @@ class _Reader:
         is_blank = cells.str.to_lowercase().is_in(_BLANK)
         plain = cells.str.strip_prefix("+")
         plain = plain.str.replace(",", ".", literal=True) if self._requested.dialect.decimal_comma else plain
+        if name in self._requested.places and plain.str.contains(_HAS_MARKS).any():
+            plain = pl.Series([_without_marks(cell) for cell in plain.to_list()])
         values = plain.cast(pl.Float64, strict=False)
         bad = (~is_blank & ~values.is_finite().fill_null(value=False)).arg_true()
         if len(bad):
@@ -280,6 +288,17 @@ class _Reader:
             like = did_you_mean(name, names)
             there = ", ".join(names) or "none"
             raise InputError(f"{self._path}: no column '{name}'{like}; the columns are: {there}")
+
+
+def _without_marks(cell: str) -> str:
+    """Degrees of a cell as 48°06'03.5"N, N 48° 06.058' or 11.6003 W, as a number; other cells as they are."""
+    match = _MARKED.fullmatch(cell)
+    if match is None or not re.search(_HAS_MARKS, cell):
+        return cell
+    before, sign, degrees, minutes, seconds, behind = match.groups()
+    value = float(degrees) + float(minutes or 0.0) / 60.0 + float(seconds or 0.0) / 3600.0
+    is_negative = (sign == "-") != ((before or behind) in ("S", "W"))
+    return repr(-value if is_negative else value)
 
 
 def _is_convertible(convert: Callable[[Any], Any], cell: Any) -> bool:

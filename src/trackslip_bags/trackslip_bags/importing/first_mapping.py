@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from trackslip_bags.importing.columns import CLOCK, DAY_FIRST, DEGREES_MINUTES, ISO, MONTH_FIRST
+from trackslip_bags.importing.columns import CLOCK, CLOCKS, DAY_FIRST, DEGREES_MINUTES, ISO, MONTH_FIRST
 from trackslip_bags.importing.csv_table import DECIMAL_COMMA
 from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split_cells
 from trackslip_bags.importing.log_kinds import require_table
@@ -44,7 +44,7 @@ _UNIT_SPELLINGS = {
 
 _UNITS = {  # by quantity, those that are no factor too
     **UNITS,
-    "time": {*UNITS["time"], CLOCK},
+    "time": {*UNITS["time"], *CLOCKS},
     "angle": {*UNITS["angle"], DEGREES_MINUTES},
 }
 _STATED_UNIT = re.compile(
@@ -121,7 +121,7 @@ _FIELD_KINDS = (
     _FieldKind(
         "",
         "time",
-        rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc|(?:gps_)?i?tow|elapsed",
+        rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc|(?:gps_)?(?:i_?)?tow|elapsed|millis|micros",
         ("time",),
         "s",
     ),
@@ -317,7 +317,7 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
     if not kind.is_certain and words[-1] == _SIDE_NUMBERS.get(side):
         guesses.append(f"side of {name}: {side}")
     unit_by_values, is_known = _unit_by_values(kind, table, name)
-    if is_known and (unit_by_values in (ISO, MONTH_FIRST, DAY_FIRST, CLOCK) or not unit):
+    if is_known and (unit_by_values in (ISO, MONTH_FIRST, DAY_FIRST, *CLOCKS) or not unit):
         unit = unit_by_values
     elif is_position and not unit and any(re.fullmatch(_COUNTS, word) for word in words):
         unit, scale = "rev", 1.0 / _COUNTS_PER_TURN
@@ -333,7 +333,7 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
         elif values.max() < 100.0 * (limit + 1.0) and (values % 100.0 < 60.0).all():
             unit, guesses = DEGREES_MINUTES, [f"unit of {name}: {DEGREES_MINUTES}"]
     hemisphere = _NEGATIVE_HEMISPHERES.get(kind.field)
-    is_positive = bool((table.numbers(name) > 0.0).all())
+    is_positive = bool(values.size and (table.numbers(name) > 0.0).all())
     if is_positive and any(set(cells) == {hemisphere} for cells in table.cells.values()):
         scale = -scale
         guesses.append(f"scale of {name}: -1, of the hemisphere {hemisphere}")

@@ -10,19 +10,31 @@ from decimal import Decimal
 
 import numpy as np
 
-from trackslip_bags.importing.columns import CLOCK, DAY_FIRST, ISO, MONTH_FIRST, TimeColumn, zone_offset_ns
+from trackslip_bags.importing.columns import (
+    CLOCK,
+    DAY_FIRST,
+    ISO,
+    MINUTES,
+    MONTH_FIRST,
+    TimeColumn,
+    zone_offset_ns,
+)
 from trackslip_common.arrays import FloatArray
 from trackslip_common.units import NS_PER_S, UNITS
 
 _SCALES = {unit: Decimal(round(seconds * NS_PER_S)) for unit, seconds in UNITS["time"].items()}  # ns
+_FRACTION = r"(?:(?:[.,]|:(?=\d{3}))(\d{1,9})\d*)?"
 _ISO = re.compile(
-    r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d|\d(?=:)):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
+    rf"(\d{{4}})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d|\d(?=:)):?(\d\d)(?::?(\d\d){_FRACTION})? ?"
     r"([AP]M)? ?(Z|UTC|GMT|[+-]\d\d:?\d\d)?",
     re.IGNORECASE,
 )
 _DOTTED = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
 _SLASHED = re.compile(r"(\d\d?)/(\d\d?)/(\d{4})(?=[ T])")
-_CLOCK = re.compile(r"(\d\d?)(:?)([0-5]\d)\2([0-5]\d|60)(?:[.,](\d{1,9})\d*)?")
+_CLOCK = re.compile(rf"(\d\d?)(:?)([0-5]\d)\2([0-5]\d|60){_FRACTION}")
+_MINUTES = re.compile(r"\d\d:\d\d[.,]\d+")
+_NAMED_MONTH = re.compile(r"(\d\d?)[- ]([a-z]{3})[a-z]*[- ](\d{4})(?=[ T])", re.IGNORECASE)
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE_ORDER: dict[str, Callable[[re.Match[str]], str]] = {
     MONTH_FIRST: lambda date: f"{date[3]}-{date[1]:0>2}-{date[2]:0>2}",
     DAY_FIRST: lambda date: f"{date[3]}-{date[2]:0>2}-{date[1]:0>2}",
@@ -41,7 +53,7 @@ def accepted_text(cell: str, column: TimeColumn) -> str:
         example = "as 2026-11-20T14:30:00.25+01:00"
         return f"{example} (or unit: {MONTH_FIRST} or {DAY_FIRST})" if _SLASHED.match(cell) else example
     if column.is_clock:
-        return "as 14:30:00.25"
+        return f"as {'14:' if column.units == (CLOCK,) else ''}30:00.25"
     return f"a number of {' + '.join(column.units)}{_other_unit(cell)}"
 
 
@@ -54,7 +66,7 @@ def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
     if column.is_iso:
         return _iso_ns(" ".join(cells), column)
     if column.is_clock:
-        return _clock_ns(cells[0])
+        return _clock_ns(cells[0] if column.units == (CLOCK,) else f"0:{cells[0]}")
     return sum(_number_ns(cell, unit) for cell, unit in zip(cells, column.units, strict=True))
 
 
@@ -116,12 +128,18 @@ def is_clock_without_colons(numbers: FloatArray) -> bool:
 
 
 def _date_of(cell: str, unit: str = ISO) -> re.Match[str] | None:
-    """Parts of a date and time of day, also of the form 20.11.2026 14:30; None of other texts.
+    """Parts of a date and time of day, also as 20.11.2026 14:30 or 20-Nov-2026 14:30; None of other texts.
 
     Of dates with slashes that begin with the day or month, ``unit`` states which.
     """
-    cell = _DOTTED.sub(_DATE_ORDER[DAY_FIRST], cell)
+    cell = _NAMED_MONTH.sub(_with_month_number, _DOTTED.sub(_DATE_ORDER[DAY_FIRST], cell))
     return _ISO.fullmatch(cell if unit == ISO else _SLASHED.sub(_DATE_ORDER[unit], cell))
+
+
+def _with_month_number(date: re.Match[str]) -> str:
+    """A date with the name of a month, in digits; as it is if no month has that name."""
+    name = date[2].lower()
+    return f"{date[3]}-{_MONTHS.index(name) + 1:02}-{date[1]:0>2}" if name in _MONTHS else date[0]
 
 
 def date_unit(cells: Sequence[str]) -> str:
@@ -150,6 +168,8 @@ def likely_unit(cell: str) -> str:
         return ISO
     if ":" in cell and _CLOCK.fullmatch(cell):
         return CLOCK
+    if _MINUTES.fullmatch(cell):
+        return MINUTES
     for unit in ("s", "ms", "us", "ns"):
         with suppress(ValueError):
             if _number_ns(cell, unit) in _PLAUSIBLE_NS:

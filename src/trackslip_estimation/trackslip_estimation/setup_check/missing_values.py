@@ -147,8 +147,8 @@ def _mark_missing_fixes(causes: list[Cause], source: str, places: FloatArray) ->
 def _missing_cause(source: str, column: str, value: float, where: BoolArray, *, numbers: int = 1) -> Cause:
     """The cause for a value that marks the readings ``where`` (n,); ``numbers`` of each reading repeat."""
     count = int(where.sum())
-    unit = "m" if column == "place" else "rad/s"
-    evidence = f"{column} jumps to {value:g} {unit} and back {count} times ({where.mean():.1%} of the readings)"
+    unit, share = "m" if column == "place" else "rad/s", f"{where.mean():.1%} of the readings"
+    evidence = f"{column} jumps to {value:g} {unit} and back {count} times ({share})"
     remedy = (
         "Leave out what stands for a missing value: blank cells, or in the mapping 'missing: …' at that "
         "column, with the number that it holds there"

@@ -105,7 +105,7 @@ def judge_turns(drive: Drive) -> list[Finding]:
     if gyro is None or gyro_windows < _LEAST_WINDOWS or drive.is_swing_unknown:
         return []
     if max(by_gyro, mutual) < _UNRELATED and (is_turning or _turns_as_tracks(drive)):
-        mismatches.append(f"turns of {gyro.name} that neither tracks nor headings show")
+        mismatches.append(f"turns of {gyro.name} that are not those of tracks or headings: another axis?")
     is_shown = compass is not None and compass.is_used and heading_windows >= _LEAST_WINDOWS and is_turning
     if compass is not None and is_shown and max(by_heading, mutual) < _UNRELATED and by_gyro > _RELATED:
         mismatches.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
