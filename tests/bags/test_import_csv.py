@@ -70,15 +70,30 @@ def test_several_files_have_their_own_columns_times_and_rates(tmp_path: Path) ->
     ("of_file", "message"),
     [
         ({}, "key 'file' is missing; accepted: a name or pattern of a.csv, b.csv"),
-        ({"file": "*.csv"}, "several files '*.csv'; accepted: a pattern of one of a.csv, b.csv"),
         ({"file": "c.csv"}, "no file 'c.csv'"),
     ],
 )
 def test_which_file_must_be_clear(tmp_path: Path, of_file: dict[str, str], message: str) -> None:
-    files = dict.fromkeys(("a.csv", "b.csv"), "t,l,r\n1,2,3\n")
+    files = {"a.csv": "t,l,r\n1,2,3\n", "b.csv": "t,l,r,x\n1,2,3,4\n"}
     with pytest.raises(InputError) as caught:
         imported(tmp_path, files, {"sprockets": {**WHEELS, **of_file}})
     assert message in str(caught.value)
+
+
+PARTS = {f"log_{k}.csv": f"t,l,r\n{k},{k},0\n{k}.5,{k},0\n" for k in (10, 9, 11)}
+
+
+@pytest.mark.parametrize("of_file", [{}, {"file": "log_*.csv"}])
+def test_parts_of_a_log_are_one(tmp_path: Path, of_file: dict[str, str]) -> None:
+    _, messages = imported(tmp_path, PARTS, {"sprockets": {**WHEELS, **of_file}})
+    assert [stamp_ns_of(m) * 1e-9 for m in messages["sprockets"]] == [9.0, 9.5, 10.0, 10.5, 11.0, 11.5]
+    assert [m.velocity[0] for m in messages["sprockets"]] == [9.0, 9.0, 10.0, 10.0, 11.0, 11.0]
+
+
+def test_parts_of_a_log_that_overlap_are_refused(tmp_path: Path) -> None:
+    parts = {**PARTS, "log_11.csv": "t,l,r\n10.2,1,1\n"}
+    with pytest.raises(InputError, match=r"log_11.csv: line 2, column 't' goes back"):
+        imported(tmp_path, parts, {"sprockets": WHEELS})
 
 
 def test_spreads_of_each_row_are_those_of_columns(tmp_path: Path) -> None:

@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of CSV logs by a mapping: one or several files on one time base, each with own columns and rate."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
 
 from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, MINUTES, Column, TimeColumn
-from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_table
+from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, joined, read_table
+from trackslip_bags.importing.csv_text import MAX_LINE_LENGTH
 from trackslip_bags.importing.local import LocalFrame, place_of
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.role_values import values_of
@@ -45,27 +48,38 @@ def read_csv_logs(
     Raises:
         InputError: a file cannot be read or does not fit the mapping.
     """
-    files = {topic.name: _file_of(topic, paths) for topic in topics}
-    tables = {
-        path: read_table(path, _requested([topic for topic in topics if files[topic.name] == path]))
-        for path in dict.fromkeys(files.values())
-    }
+    files = {topic.name: _files_of(topic, paths) for topic in topics}
+    tables = {}
+    for parts in dict.fromkeys(files.values()):
+        requested = _requested([topic for topic in topics if files[topic.name] == parts])
+        tables[parts] = joined([read_table(path, requested) for path in parts])
     samples = [_samples(tables[files[topic.name]], topic, start_ns, local) for topic in topics]
     return samples, list(dict.fromkeys(note for table in tables.values() for note in table.notes))
 
 
-def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
-    """The file of a topic."""
+def _files_of(topic: CsvTopic, paths: Sequence[Path]) -> tuple[Path, ...]:
+    """The file of a topic, or the parts of a log, which begin alike, by the numbers in their names."""
     names = ", ".join(path.name for path in paths)
-    if topic.file is None:
-        if len(paths) > 1:
-            raise InputError(f"{topic.where}: key 'file' is missing; accepted: a name or pattern of {names}")
-        return paths[0]
-    matching = [path for path in paths if fnmatch(path.name, topic.file)]
-    if len(matching) != 1:
-        fault = "several files" if matching else "no file"
-        raise InputError(f"{topic.where}.file: {fault} '{topic.file}'; accepted: a pattern of one of {names}")
-    return matching[0]
+    if topic.file is None and len({_first_line(path) for path in paths}) > 1:
+        raise InputError(f"{topic.where}: key 'file' is missing; accepted: a name or pattern of {names}")
+    matching = [path for path in paths if topic.file is None or fnmatch(path.name, topic.file)]
+    if not matching:
+        raise InputError(
+            f"{topic.where}.file: no file '{topic.file}'; accepted: a pattern of some of {names}"
+        )
+    return tuple(sorted(matching, key=_numbered_name))
+
+
+def _numbered_name(path: Path) -> list[tuple[int, str]]:
+    """Sorts log_9 before log_10."""
+    return [(int(digits or 0), text) for digits, text in re.findall(r"(\d*)(\D*)", path.name)]
+
+
+def _first_line(path: Path) -> bytes:
+    """The line that tells logs of different columns apart; empty where the file cannot be read."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.readline(MAX_LINE_LENGTH).strip()
+    return b""
 
 
 def _requested(topics: Sequence[CsvTopic]) -> Requested:
@@ -261,10 +275,10 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
     if topic.received is None:
         back = np.flatnonzero(np.diff(times_ns[has_time]) < 0)
         if back.size:
-            line = int(table.lines[has_time][back[0] + 1])
+            place = table.place(int(np.flatnonzero(has_time)[back[0] + 1]))
             before, after = (time_text(int(times_ns[has_time][back[0] + k]), topic.time) for k in (0, 1))
             raise InputError(
-                f"{table.path}: line {line}, column '{topic.time.name}' goes back from {before} to {after}; "
+                f"{place}, column '{topic.time.name}' goes back from {before} to {after}; "
                 "accepted: rows in the order of their time (sort them, once each; at the end of summer time "
                 "record UTC), or 'received' beside them"
             )
@@ -286,7 +300,7 @@ def _checked_times(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     times_ns = np.where(raw_ns == NO_TIME, NO_TIME, raw_ns + start_ns)
     bad = np.flatnonzero((raw_ns != NO_TIME) & ((times_ns < 0) | (times_ns >= LIMIT_NS)))
     if bad.size:
-        place = f"{table.path}: line {table.lines[bad[0]]}, column '{column.name}'"
+        place = f"{table.place(bad[0])}, column '{column.name}'"
         seconds = times_ns[bad[0]] * 1e-9
         if seconds < 0.0:
             raise InputError(
@@ -360,7 +374,7 @@ def _is_at_origin(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArra
         degrees = np.degrees(columns[name])
         bad = np.flatnonzero(np.abs(degrees) > limit)
         if bad.size:
-            place = f"{table.path}: line {table.lines[bad[0]]}, column '{topic.columns[name].names[0]}'"
+            place = f"{table.place(bad[0])}, column '{topic.columns[name].names[0]}'"
             value = float(degrees[bad[0]])
             is_like_minutes = abs(value) < 100.0 * (limit + 1.0) and abs(value) % 100.0 < 60.0
             other = f"unit: {DEGREES_MINUTES}" if is_like_minutes else f"missing: {value:g}, or another unit"

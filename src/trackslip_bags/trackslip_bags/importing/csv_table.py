@@ -77,6 +77,29 @@ class Table:
     numbers: dict[str, FloatArray]  # nan where blank
     texts: dict[str, NDArray[Any]]
     notes: list[str] = field(default_factory=list)  # for the user
+    parts: tuple[tuple[Path, int], ...] = ()  # files of a log in parts, and the first row of each
+
+    def place(self, row: int) -> str:
+        """File and line of a row, for messages."""
+        path = next((path for path, first in reversed(self.parts) if first <= row), self.path)
+        return f"{path}: line {self.lines[row]}"
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """One table of the parts of a log, in their order."""
+    if len(tables) == 1:
+        return tables[0]
+    firsts = np.cumsum([0, *(len(table.lines) for table in tables)]).tolist()
+    first = tables[0]
+    return Table(
+        Path(f"{first.path} to {tables[-1].path.name}"),
+        np.concatenate([table.lines for table in tables]),
+        {name: np.concatenate([table.times[name] for table in tables]) for name in first.times},
+        {name: np.concatenate([table.numbers[name] for table in tables]) for name in first.numbers},
+        {name: np.concatenate([table.texts[name] for table in tables]) for name in first.texts},
+        [note for table in tables for note in table.notes],
+        tuple((table.path, row) for table, row in zip(tables, firsts, strict=False)),
+    )
 
 
 def read_table(path: Path, requested: Requested) -> Table:

@@ -78,7 +78,9 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | Non
             f"log '{missing}' not found; accepted: logs or their directory, or a bag; --output is the new one"
         )
     if len(logs) > 1 or not logs[0].is_file():
-        raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
+        raise InputError(
+            f"--mapping is missing for {logs[0]}; only one CSV log can do without, or the first part of one"
+        )
     (log,) = logs
     path = Path(f"{log.stem}_mapping.yaml")
     bag = str(output or f"{log.stem}_bag")
