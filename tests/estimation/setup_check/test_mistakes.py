@@ -382,6 +382,22 @@ def test_a_gyro_that_does_not_show_the_turns_of_tracks_and_fixes_is_named(
 STEADY = (*4 * ((8.0, 0.9, 0.0), (4.0, 0.9, 0.4), (8.0, 0.9, 0.0), (4.0, 0.9, -0.4)),)
 
 
+SLOW = (
+    *((5.0, 0.0, 0.0), (12.0, 0.35, 0.0), (10.0, 0.3, 0.1), (8.0, 0.35, 0.0), (3.0, 0.0, 0.0)),
+    *((10.0, -0.3, 0.0), (11.0, 0.3, -0.12), (9.0, 0.35, 0.0), (8.0, 0.3, 0.08), (3.0, 0.0, 0.0)),
+    *((14.0, -0.35, 0.0), (9.0, -0.3, 0.1)),
+)
+
+
+@pytest.mark.parametrize("late", [-1.6, -1.2, 1.2, 1.6])
+def test_a_clock_that_is_off_by_more_than_any_latency_shows_in_a_slow_drive(late: float) -> None:
+    """Its segments scatter about the delay."""
+    log = make_drive(has_heading=False, programme=SLOW, fix_stddev=0.03, slip=0.3)
+    (cause,) = check(shifted(log, late)).causes
+    assert cause.cause == "source_delay"
+    assert f"time_offset: {-late:.1f}" in cause.remedy
+
+
 @pytest.mark.parametrize("source", ["fixes late", "gyro late", "encoders late"])
 @pytest.mark.parametrize("has_gyro", [True, False])
 def test_a_delay_at_one_speed_is_no_lever_arm(source: str, *, has_gyro: bool) -> None:

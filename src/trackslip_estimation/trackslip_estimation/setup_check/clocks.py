@@ -46,6 +46,7 @@ _TRIED_DELAYS = np.arange(-2.0, 2.01, 0.1)  # s, delays that are tried by the sh
 _LENGTHS = (10.0, 20.0)  # s, of segments
 _LEAST_SEGMENTS, _LEAST_LOG_RANGE = 5, 2.0  # segments that show a delay; least range of ln likelihood in each
 TRACKS = "sprockets"
+_LONGEST_LATENCY = 1.0  # s, of any receiver; segments that show more agree that a clock is off
 _LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings per stamp, s
 _PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive per delay; numbers of such parts
 _LARGEST_PART_DELAY = 0.8 * LARGEST_DELAY  # s; beyond it the next part may show that of another turn, or none
@@ -283,12 +284,18 @@ def _delay_by_segments(segment_logs: FloatArray, fixes: Fixes) -> SourceDelay | 
 
 
 def _is_consistent(segment_logs: FloatArray, best: int) -> bool:
-    """Whether enough segments of (d, s) likelihoods show a delay, and half of them the delay ``best``."""
+    """Whether enough segments of (d, s) likelihoods show a delay, and half of them the delay ``best``.
+
+    A segment agrees with a delay beyond any latency if it shows one beyond any latency, to the same side.
+    """
     clear = segment_logs[:, np.ptp(segment_logs, axis=0) > _LEAST_LOG_RANGE]
     if clear.shape[1] < _LEAST_SEGMENTS:
         return False
-    delays = _TRIED_DELAYS[np.argmax(clear, axis=0)]
-    return bool((np.abs(delays - _TRIED_DELAYS[best]) < LEAST_DELAY).mean() >= 0.5)
+    delays, middle = _TRIED_DELAYS[np.argmax(clear, axis=0)], float(_TRIED_DELAYS[best])
+    is_near = np.abs(delays - middle) < LEAST_DELAY
+    if abs(middle) > _LONGEST_LATENCY:
+        is_near |= delays * np.sign(middle) > _LONGEST_LATENCY
+    return bool(is_near.mean() >= 0.5)
 
 
 def _jackknife(segment_logs: FloatArray, best: int) -> float:
