@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``box_localizer``: pose of the machine from laser scans of the box on its cab."""
 
-import math
 import sys
 import time
 from typing import Any
@@ -29,8 +28,6 @@ from trackslip_estimation.slip.silence import SilenceMonitor
 UNCERTAIN_TEXT = (
     "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
 )
-
-
 _NO_SCANS = "no scans: check the laser driver"
 _SILENCE_TIMEOUT = 2.0  # s
 
@@ -51,7 +48,6 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._scans = 0
         self._is_uncertain = False  # whether the box is ambiguous in the latest scan
         self._reported_counts = (0, 0)
-        self._received_s = -math.inf  # steady
         self._silence = SilenceMonitor()
         self._result = (WARN, _NO_SCANS)  # of the latest scans
         self._poses = self.advertise(topic_class("box_pose"), "box_pose")
@@ -74,7 +70,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
             values["track file"] = self._file.failure
         if self._is_uncertain:
             values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.ambiguous_positions)
-        if time.monotonic() - self._received_s > self._silence.limit(_SILENCE_TIMEOUT):
+        if self._silence.is_silent(time.monotonic(), _SILENCE_TIMEOUT):
             self._result = WARN, _NO_SCANS
         elif self._fixes > fixes_before:
             self._result = OK, "running"
@@ -85,8 +81,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
 
     def _on_scan(self, message: Any) -> None:
         self._scans += 1
-        self._received_s = time.monotonic()
-        self._silence.add(self._received_s)
+        self._silence.add(time.monotonic())
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         scan = Scan(stamp_ns_of(message), ranges, *geometry)

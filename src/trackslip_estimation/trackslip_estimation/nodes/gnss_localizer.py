@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``gnss_localizer``: positions of a GNSS antenna in metres east and north, from fixes of its receiver."""
 
-import math
 import sys
 import time
 from typing import Any
@@ -32,7 +31,6 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         self._localizer = GnssLocalizer(self.settings)
         self._fixes = self._poses = 0
         self._reported_poses = 0
-        self._received_s = -math.inf  # steady
         self._silence = SilenceMonitor()
         self._result = (WARN, "no fixes")  # of the latest fixes
         self._published_datum = False
@@ -57,7 +55,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
             **self._localizer.tally.values(),
         }
         new_rejections = self._localizer.tally.new_counts()
-        if time.monotonic() - self._received_s > self._silence.limit(_SILENCE_TIMEOUT):
+        if self._silence.is_silent(time.monotonic(), _SILENCE_TIMEOUT):
             self._result = WARN, "no fixes"
         elif self._poses == poses_before and new_rejections:
             self._result = WARN, f"all fixes rejected: {', '.join(why for _, why in new_rejections)}"
@@ -69,8 +67,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
 
     def _on_fix(self, message: Any) -> None:
         self._fixes += 1
-        self._received_s = time.monotonic()
-        self._silence.add(self._received_s)
+        self._silence.add(time.monotonic())
         position = self._localizer.locate(conversions.fix(message))
         if isinstance(position, Reason):
             return

@@ -48,3 +48,7 @@ class SilenceMonitor:
         if self._last is None:
             return timeout
         return silence_limit(timeout, float(np.median(self._intervals)) if self._intervals else timeout)
+
+    def is_silent(self, time: float, timeout: float) -> bool:
+        """Whether the last message is older than T_l; not before the first one."""
+        return self._last is not None and time - self._last > self.limit(timeout)

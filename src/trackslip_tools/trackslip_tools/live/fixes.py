@@ -30,7 +30,6 @@ class Fixes:
         self.shown: deque[Position] = deque(maxlen=MAX_FIXES)
         self.timeouts: dict[str, float] = {}  # source of the slip estimator → timeout, s
         self._new_fixes: deque[Position] = deque(maxlen=MAX_FIXES)
-        self._last_fix_s: dict[str, float] = {}
         self._silences: dict[str, SilenceMonitor] = defaultdict(SilenceMonitor)
         self._lost: set[str] = set()
 
@@ -38,7 +37,6 @@ class Fixes:
         """Set the timeouts, s, by source, from which ``silence`` derives its limits; forget other sources."""
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
         known = {*inputs.POSES, *self.timeouts}
-        self._last_fix_s = {source: at_s for source, at_s in self._last_fix_s.items() if source in known}
         self._silences = defaultdict(
             SilenceMonitor, {k: one for k, one in self._silences.items() if k in known}
         )
@@ -46,7 +44,6 @@ class Fixes:
 
     def add(self, source: str, x: float, y: float, now_s: float) -> None:
         """Add a fix, m."""
-        self._last_fix_s[source] = now_s
         self._silences[source].add(now_s)
         if math.isfinite(x) and math.isfinite(y):
             self._new_fixes.append((round(x, 3), round(y, 3)))
@@ -60,8 +57,7 @@ class Fixes:
     def add_silence_events(self, events: Events, now_s: float, time_ms: float) -> None:
         """Add an event for each source that is newly lost, or back."""
         for source, timeout in self.timeouts.items():
-            limit = self._silences[source].limit(timeout)
-            is_lost = now_s - self._last_fix_s.get(source, now_s) > limit
+            is_lost = self._silences[source].is_silent(now_s, timeout)
             if is_lost and source not in self._lost:
                 events.add(Level.WARN, f"fix lost: {source}", now_s, time_ms)
             elif not is_lost and source in self._lost:
