@@ -228,6 +228,22 @@ def test_counts_are_turns_of_a_guessed_number_and_differences_are_increments(tmp
     assert sum("a turn" in guess for guess in first.guessed) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "cell", "is_used"),
+    [
+        ("fix_quality", "4", True),
+        ("Quality", "1", True),
+        ("signal_quality", "4", False),
+        ("quality", "87", False),
+        ("quality", "RTK", False),
+    ],
+)
+def test_quality_of_positions_is_used(tmp_path: Path, name: str, cell: str, is_used: bool) -> None:
+    names = f"t,v_left,v_right,lat_deg,lon_deg,{name}"
+    topics = yaml.safe_load(mapping_of(tmp_path, names, f"0,0,0,48,11,{cell}").text)["topics"]
+    assert topics["gnss_pose"].get("quality") == ({"column": name} if is_used else None)
+
+
 def test_half_a_pair_is_not_used(tmp_path: Path) -> None:
     first = mapping_of(tmp_path, "t,v_left,v_right,lat,x,left_ticks")
     assert set(first.unused) == {"lat", "x", "left_ticks"}

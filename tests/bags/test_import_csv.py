@@ -17,7 +17,7 @@ from trackslip_bags.importing.columns import TimeColumn
 from trackslip_bags.importing.importer import Imported
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.times import time_ns
-from trackslip_common.config_files import config_file
+from trackslip_common.config_files import config_file, node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.units import UNITS
@@ -195,6 +195,19 @@ def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> 
     assert result.left_out["/gnss_pose"] == {"latitude and longitude are 0": 1}
     assert result.datum is not None
     assert result.datum[:2] == (pytest.approx(48.0), pytest.approx(11.0))
+
+
+def test_quality_limits_the_accuracy_of_positions(tmp_path: Path) -> None:
+    """A standard deviation as a number is that of fixed ambiguities; a column is of each row."""
+    log = "t,e,n,q,s\n1,0,0,4,0.5\n2,0,1,5,0.5\n3,0,2,1,0.5\n4,0,3,0,0.5\n"
+    place = {"x": {"column": "e", "unit": "m"}, "y": {"column": "n", "unit": "m"}, "quality": {"column": "q"}}
+    stddev = {"x": 0.02, "y": {"column": "s", "unit": "m"}}
+    result, messages = imported(tmp_path, log, {"gnss_pose": {**place, "stddev": stddev}})
+    assumed = node_defaults("gnss_localizer", "gnss_localizer.yaml")
+    stddevs = np.sqrt([np.diag(covariance(m))[:2] for m in messages["gnss_pose"]])
+    expected = (0.02, assumed["assumed_stddev.rtk"], assumed["assumed_stddev.single"])
+    np.testing.assert_allclose(stddevs, np.column_stack((expected, (0.5, 0.5, 0.5))))
+    assert result.left_out["/gnss_pose"] == {"no fix by its quality": 1}
 
 
 @pytest.mark.parametrize(("origin", "expected"), [(500_000.0, (3.0, 4.0)), ("first", (0.0, 1.0))])

@@ -13,6 +13,7 @@ import numpy as np
 from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, MINUTES, Column, TimeColumn
 from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, joined, read_table
 from trackslip_bags.importing.csv_text import MAX_LINE_LENGTH
+from trackslip_bags.importing.fix_quality import least_variances, status_of
 from trackslip_bags.importing.local import LocalFrame, place_of
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.role_values import values_of
@@ -123,6 +124,11 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     chosen.reject(stamps_ns == NO_TIME, "no time")
     for axis in ("x", "y") if topic.role == "pose" else ():
         chosen.reject(~(variances[axis] > 0.0), f"no standard deviation of {axis} above 0")
+    if topic.role == "pose" and "quality" in columns:
+        chosen.reject(status_of(columns["quality"]) < 0.0, "no fix by its quality")
+        for axis in ("x", "y"):  # a number is that of fixed ambiguities, a column is of each row
+            if not isinstance(topic.spreads[axis].value, Column):
+                variances[axis] = np.maximum(variances[axis], least_variances(columns["quality"]))
     if topic.role == "heading" and "qw" in columns:
         is_zero = np.equal([columns[name] for name in QUATERNION], 0.0).all(axis=0)
         chosen.reject(is_zero, "holds no orientation")

@@ -16,13 +16,12 @@ import yaml
 from trackslip_bags.importing.columns import CLOCK, CLOCKS, DAY_FIRST, DEGREES_MINUTES, ISO, MONTH_FIRST
 from trackslip_bags.importing.csv_table import DECIMAL_COMMA
 from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split_cells
+from trackslip_bags.importing.fix_quality import assumed_stddevs
 from trackslip_bags.importing.log_kinds import require_table
 from trackslip_bags.importing.times import date_unit, is_clock_without_colons, likely_unit
 from trackslip_common.arrays import FloatArray
-from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.units import UNITS
-from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
 _LINES = 2000  # that are read for names and values
 
@@ -165,6 +164,14 @@ _FIELD_KINDS = (
         ("length",),
         "m",
     ),
+    _FieldKind(
+        "gnss_pose",
+        "quality",
+        r"(?:(?:gga|gps|gnss|rtk|fix|pos(?:ition)?|sol(?:ution)?)_)*(?:quality|qualit[äé]t?|qual)",
+        (),
+        "",
+        True,
+    ),
     _FieldKind("heading", "heading", rf"{_ANY}(?:heading|hdg|hdt|steuerkurs|azimuth?)", ("angle",), "deg"),
 )
 _TWO_COLUMN_TIMES = (  # times in two columns, and their units
@@ -175,6 +182,7 @@ _PAIRS = (  # fields that come together; the first complete pair is used
     (("left_velocity", "right_velocity"), ("left_position", "right_position")),
     (("latitude", "longitude"), ("x", "y")),
 )
+_QUALITIES = set(range(10))  # of GGA
 _LONGEST_PERIOD = 2.0  # s between rows
 _DAY_NUMBERS = (36_526.0, 73_051.0)  # of a spreadsheet: 2000 to 2100
 _START_OF_DAY_NUMBERS = -2_209_161_600  # s: 1899-12-30
@@ -221,7 +229,7 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         (topics.setdefault(columns.topic, {}) if columns.topic else tree)[field] = columns.entry
     guessed = [guess for columns in fields.values() for guess in columns.guesses]
     if "gnss_pose" in topics:
-        stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
+        stddev = assumed_stddevs().single
         topics["gnss_pose"]["stddev"] = _FlowMapping(x=stddev, y=stddev)
         guessed.append(f"standard deviation of positions: {stddev:g} m")
     tree |= {"topics": topics, "parameters": {**_source_parameters(topics), **parameters}}
@@ -229,7 +237,7 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
     used = {name for columns in fields.values() for name in columns.names}
     return FirstMapping(
         text=head + yaml.dump(tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True),
-        columns={field: f"{' + '.join(one.names)}, {' + '.join(one.units)}" for field, one in fields.items()},
+        columns={field: one.text for field, one in fields.items()},
         guessed=tuple(guessed),
         unused=tuple(name for name in table.cells if name not in used),
     )
@@ -279,12 +287,18 @@ class _FieldColumns(NamedTuple):
     has_increments: bool = False
 
     @property
+    def text(self) -> str:
+        """Names and units."""
+        return ", ".join(" + ".join(texts) for texts in (self.names, self.units) if any(texts))
+
+    @property
     def entry(self) -> "_FlowMapping":
         """Entry of the mapping."""
         column, unit = (list(own) if len(own) > 1 else own[0] for own in (self.names, self.units))
+        stated = {"unit": unit} if unit else {}
         scale = {} if self.scale == 1.0 else {"scale": self.scale}
         increments = {"increments": True} if self.has_increments else {}
-        return _FlowMapping(column=column, unit=unit, **scale, **increments)
+        return _FlowMapping(column=column, **stated, **scale, **increments)
 
 
 def _find_fields(table: _Table) -> dict[str, _FieldColumns]:
@@ -304,6 +318,7 @@ def _find_column(kind: _FieldKind, table: _Table) -> _FieldColumns | None:
     for name in table.cells:
         for stem, unit in _interpretations(name, table.units.get(name, "")):
             is_of_kind = not unit or any(unit in _UNITS[quantity] for quantity in kind.quantities)
+            is_of_kind &= bool(kind.quantities) or set() < set(table.numbers(name)) <= _QUALITIES
             if is_of_kind and re.fullmatch(kind.names, stem) and not _NO_MEASUREMENT.fullmatch(stem):
                 return _field_columns(kind, table, name, stem, unit)
     return None
@@ -385,6 +400,7 @@ def _drop_repeated_pairs(fields: Mapping[str, _FieldColumns]) -> dict[str, _Fiel
     for pairs in _PAIRS:
         complete = next((pair for pair in pairs if fields.keys() >= set(pair)), ())
         left_out |= {name for pair in pairs for name in pair if name not in complete}
+        left_out |= {"quality"} if "latitude" in pairs[0] and not complete else set()
     return {field: one for field, one in fields.items() if field not in left_out}
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trackslip_bags.importing.fix_quality import status_of
 from trackslip_bags.importing.local import place_of
 from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ACCELERATIONS, QUATERNION, RATES, ROLES
@@ -22,8 +23,6 @@ from trackslip_bags.importing.samples import Values
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_estimation.slip.measurements import UNOBSERVED
 
-_NO_FIX = 0  # quality of a GGA sentence
-_STATUS_OF_QUALITY = {0: -1, 1: 0, 2: 1, 3: 0, 4: 2, 5: 2, 9: 2}  # NavSatStatus: none, fix, SBAS, GBAS
 _DIAGONAL, _FULL = 2, 3  # kinds of covariance of a NavSatFix; 0: unknown
 
 
@@ -184,8 +183,7 @@ def _fix_values(columns: Values, variances: Values) -> Values:
         kind = np.where(is_known, float(_FULL if "xy" in variances else _DIAGONAL), 0.0)
     status = columns.get("status", nothing)
     if "quality" in columns:
-        quality = np.nan_to_num(columns["quality"], nan=_NO_FIX).astype(int)
-        status = np.array([_STATUS_OF_QUALITY.get(one, -1) for one in quality.tolist()], np.float64)
+        status = status_of(columns["quality"])
     status = np.nan_to_num(status, nan=-1.0)
     return {"place": place, "covariance": covariance, "kind": kind, "status": status}
 

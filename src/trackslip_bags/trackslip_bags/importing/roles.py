@@ -102,13 +102,14 @@ ROLES: Mapping[str, Role] = {
             "yaw": _ANGLE,
             "heading": _ANGLE,
             **dict.fromkeys(QUATERNION, NUMBER),
+            "quality": NUMBER,
         },
         choices=(
             (("x", "y"), _PLACE, (*_PLACE, "altitude")),
             ((), ("yaw",), ("heading",), QUATERNION),
         ),
         axes={"x": "length", "y": "length", "yaw": "angle"},
-        optional=("altitude", "yaw", "heading", *QUATERNION),
+        optional=("altitude", "yaw", "heading", *QUATERNION, "quality"),
     ),
     "heading": Role(
         type_name=IMU,
