@@ -128,6 +128,11 @@ def every_nth(source: str, n: int) -> Log:
 
 
 UNUSUAL: dict[str, Callable[[], Log]] = {  # and healthy
+    "one even turn": lambda: make_drive(programme=((60.0, 0.7, 0.09),), lever=(-1.2, 0.6)),
+    "the same without headings ": lambda: make_drive(
+        programme=((60.0, 0.7, 0.09),), lever=(-1.2, 0.6), has_heading=False
+    ),
+    "an even turn to the right": lambda: make_drive(programme=((60.0, 0.7, -0.14),), lever=(-1.2, 0.6)),
     "a clay on which it does not turn": lambda: steered_without_turning(has_heading=True),
     "the same without headings": lambda: steered_without_turning(has_heading=False),
     "tracks that spin at standstill": lambda: piece(make_drive(stuck=60.0, has_heading=False), 70.0, 170.0),
@@ -508,6 +513,13 @@ def accelerations(rates: FloatArray) -> FloatArray:
     return np.gradient(rates, 0.02, axis=0)
 
 
+def on_loose_ground(log: Log) -> Log:
+    """In a third of the drive, the tracks run half as far again."""
+    spins = np.sin(log.tracks.t / 8.0)[:, np.newaxis] > 0.5
+    speeds = np.where(spins, 1.5, 1.0) * log.tracks.speeds
+    return replace(log, tracks=tracks_of_speeds(log.tracks.t, speeds))
+
+
 ON_THE_SPOT = (
     (5.0, 0.0, 0.0),
     *2 * ((12.0, 0.8, 0.0), (6.0, 0.0, 0.35), (10.0, 0.6, 0.0), (6.0, 0.0, -0.35)),
@@ -542,6 +554,11 @@ QUESTIONS: dict[
         lambda log: scaled_fixes(log, 1.0 / 0.3048),
         {"has_heading": False},
         "fixes in feet, or speeds",
+    ),
+    "radius too small, some ground loose": (
+        lambda log: MISTAKES["radius too small"].inject(on_loose_ground(log)),
+        {},
+        "gear, unit or rolling radius",
     ),
     "tread in feet": (
         lambda log: replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)),
@@ -586,9 +603,41 @@ def test_of_two_sources_that_may_be_delayed_the_first_is_named() -> None:
     """The order of a set of topics would depend on PYTHONHASHSEED."""
     for k in range(16):
         delays = [SourceDelay(f"first_{k}", f"second_{k}", 0.5, 0.02), SourceDelay("imu", "fixes", 0.0, 0.02)]
-        (question,) = judge_delays(delays)
+        (question,), _ = judge_delays(delays)
         assert isinstance(question, OpenQuestion)
         assert question.what == f"first_{k} is off by 0.50 s against one other source only"
+
+
+@pytest.mark.parametrize("late", [-0.3, 0.5, 1.0])
+def test_fixes_and_headings_of_one_late_receiver_are_one_cause(late: float) -> None:
+    log = drive()
+    heading = replace(log.compasses[0], name="heading", of_poses=False)
+    log = replace(log, compasses=(heading,))
+    log = log.with_stamps(lambda name, t: t + late if name in {"gnss_pose", "heading"} else t)
+    (cause,) = check(log).causes
+    assert (cause.cause, cause.source) == ("source_delay", "gnss_pose")
+    assert f"time_offset: {-late:.1f}" in cause.remedy
+    assert "gnss_pose and heading" in cause.evidence
+
+
+def turns_with_varying_slip(stated: tuple[float, float]) -> Log:
+    """Turns to one side; in each of them the tracks lose another distance."""
+    parts = [((8.0, 0.9, 0.0), (6.0, 0.6, rate)) for rate in (0.2, 0.3, 0.25, 0.2, 0.3, 0.25)]
+    log = make_drive(programme=((4.0, 0.0, 0.0), *(one for pair in parts for one in pair)), lever=(-1.2, 0.6))
+    turning = np.abs(log.gyros[0].rates[:, 2]) > 0.1
+    lost = np.where(turning, 0.6 + 0.4 * np.sin(0.1 * log.tracks.t), 0.0) * np.abs(log.gyros[0].rates[:, 2])
+    speeds = log.tracks.speeds + (lost / log.machine.radius)[:, np.newaxis]
+    (fixes,) = log.fixes
+    return replace(
+        log, tracks=tracks_of_speeds(log.tracks.t, speeds), fixes=(replace(fixes, lever=stated),)
+    )
+
+
+@pytest.mark.parametrize("stated", [(-1.2, 0.6), (-1.2, -0.6)])
+def test_lateral_lever_arm_is_uncertain_where_slip_in_turns_has_its_effect(stated: tuple[float, float]) -> None:
+    result = check(turns_with_varying_slip(stated))
+    assert result.causes == ()
+    assert any("lever arm" in question.what for question in result.undetermined)
 
 
 def log_of_cut_stamps(step: float, *, has_copies: bool = False) -> Log:

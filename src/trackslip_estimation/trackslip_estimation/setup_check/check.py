@@ -177,9 +177,9 @@ def _judge_continuous(drive: Drive, unit: float, gyro_unit: float, findings: Fin
     """Judge quantities with an interval; ``drive`` has right signs and right units of speeds and gyro."""
     delays = clocks.measure_delays(drive)
     lever = _fit_lever_arm(drive, delays)
-    delay = _judge_delays(delays, lever, drive.fixes, findings)
+    delay, late = _judge_delays(delays, lever, drive, findings)
     if delay is not None:
-        drive = clocks.remove_delay(drive, delay)
+        drive = clocks.remove_delay(drive, delay.value, late)
     scale = inertial.judge_scale(drive, gyro_unit, lever)
     if scale is not None:
         findings.withdraw(scale.cause)  # a unit
@@ -214,17 +214,21 @@ def _fit_lever_arm(drive: Drive, delays: Sequence[clocks.SourceDelay]) -> Lever 
 
 
 def _judge_delays(
-    delays: list[clocks.SourceDelay], lever: Lever | None, fixes: Fixes | None, findings: Findings
-) -> clocks.SourceDelay | None:
-    """The delayed source, unless a lever arm explains its path: in turns, both shift fixes along the path."""
+    delays: list[clocks.SourceDelay], lever: Lever | None, drive: Drive, findings: Findings
+) -> tuple[clocks.SourceDelay | None, tuple[str, ...]]:
+    """Delay and topics of the delayed source, unless a lever arm explains its path.
+
+    In turns, both shift fixes along the path.
+    """
+    fixes, compass = drive.fixes, drive.compass
     findings.add(
         _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
     )
     if findings.has_cause("time_unit") or findings.has_cause("source_delay"):
-        return None
-    found = clocks.judge_delays(delays)
-    late = next((one.source for one in found if isinstance(one, Cause)), None)
-    delay = None if late is None else clocks.most_precise_delay(late, delays)
+        return None, ()
+    receiver = [source.name for source in (fixes, compass) if source is not None]
+    found, late = clocks.judge_delays(delays, receiver)
+    delay = clocks.most_precise_delay(late, delays) if late else None
     if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:
         advantage = delay.gain - (0.0 if lever is None else lever.log_ratio)
         if advantage < _UNIT_GAIN:
@@ -233,7 +237,7 @@ def _judge_delays(
             what = f"{fixes.name}: late, or a lever arm"
             found = [OpenQuestion(what, "turn on the spot, and stop and start on straights")]
     findings.add(found)
-    return delay
+    return delay, late
 
 
 def _judge_distance(drive: Drive, fixes: Fixes, unit: float, findings: Findings) -> bool:

@@ -13,7 +13,7 @@ with coarser steps. Neither signs nor units change r.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -308,8 +308,13 @@ def _jackknife(segment_logs: FloatArray, best: int) -> float:
     )
 
 
-def judge_delays(delays: list[SourceDelay]) -> list[Finding]:
-    """The source whose stamps are delayed against those of the others."""
+def judge_delays(
+    delays: list[SourceDelay], receiver: Collection[str] = ()
+) -> tuple[list[Finding], tuple[str, ...]]:
+    """The source whose stamps are delayed against those of the others: finding, and its topics.
+
+    ``receiver``: topics of one source, such as fixes and headings of two antennas. They have one clock.
+    """
     values: dict[tuple[str, str], tuple[float, float]] = {}
     for delay in sorted(
         delays, key=lambda delay: (not (delay.gain is None and delay.stddev < _FINE_STDDEV), delay.stddev)
@@ -321,25 +326,28 @@ def judge_delays(delays: list[SourceDelay]) -> list[Finding]:
         if abs(value) > max(LEAST_DELAY + _LONGER * stddev, _CERTAIN * stddev)
     }
     if not significant:
-        return []
+        return [], ()
     topics = dict.fromkeys(topic for key in values for topic in key)
-    suspects = [p for p in topics if all((p in key) == (key in significant) for key in values)]
+    sources = dict.fromkeys([*((topic,) for topic in topics), tuple(t for t in receiver if t in topics)])
+    suspects = [s for s in sources if all(_is_between(key, s) == (key in significant) for key in values)]
     if not suspects:
-        return []
-    best = suspects[0]
-    pairs = [key for key in values if best in key]
+        return [], ()
+    late, best = suspects[0], " and ".join(suspects[0])
+    pairs = [key for key in values if _is_between(key, late)]
     if len(values) == 1:
         (a, b), (value, _) = next(iter(values.items()))
         what = (
             f"{b} is {abs(value):.2f} s "
             f"{'later' if value > 0.0 else 'earlier'} than {a}: which of them is off"
         )
-        return [OpenQuestion(what, "record a third source (gyro or fixes) while turning left and right")]
-    signed = [(values[key][0] if key[1] == best else -values[key][0], values[key][1]) for key in pairs]
+        needed = "record a third source (gyro or fixes) while turning left and right"
+        return [OpenQuestion(what, needed, is_wrong=True)], ()
+    signed = [(values[key][0] if key[1] in late else -values[key][0], values[key][1]) for key in pairs]
     value, stddev = min(signed, key=lambda v: v[1])
     if len(suspects) > 1:
         what = f"{best} is off by {abs(value):.2f} s against one other source only"
-        return [OpenQuestion(what, "turn left and right by 90° once each with all sources recorded")]
+        needed = "turn left and right by 90° once each with all sources recorded"
+        return [OpenQuestion(what, needed, is_wrong=True)], ()
     evidence = (
         f"stamps of {best} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
         f"{'later' if value > 0.0 else 'earlier'} than those of the other sources, which agree"
@@ -349,24 +357,29 @@ def judge_delays(delays: list[SourceDelay]) -> list[Finding]:
         f"the parameter time_offset less {value:.2f} s"
     )
     odds = odds_of(0.5 * ((abs(value) - 0.05) / stddev) ** 2)
-    return [Cause("source_delay", best, evidence, odds, remedy)]
+    return [Cause("source_delay", late[0], evidence, odds, remedy)], late
 
 
-def remove_delay(drive: Drive, delay: SourceDelay) -> Drive:
-    """The drive with the delay taken off the stamps of the second source of a pair."""
-    log, source, value = drive.log, delay.second, delay.value
-    if source == TRACKS:
+def _is_between(pair: tuple[str, str], topics: Collection[str]) -> bool:
+    """Whether a pair is of one of the topics and another one."""
+    return (pair[0] in topics) != (pair[1] in topics)
+
+
+def remove_delay(drive: Drive, value: float, topics: Collection[str]) -> Drive:
+    """The drive with a delay, s, taken off the stamps of a source."""
+    log = drive.log
+    if TRACKS in topics:
         return Drive(replace(log, tracks=replace(log.tracks, t=log.tracks.t - value)))
-    return Drive(log.with_stamps(lambda name, t: t - value if name == source else t))
+    return Drive(log.with_stamps(lambda name, t: t - value if name in topics else t))
 
 
-def most_precise_delay(source: str, delays: list[SourceDelay]) -> SourceDelay:
+def most_precise_delay(topics: Collection[str], delays: list[SourceDelay]) -> SourceDelay:
     """The pair with the most precise delay of a source, ordered with that source as its second."""
-    of_source = [delay for delay in delays if source in (delay.first, delay.second)]
+    of_source = [delay for delay in delays if _is_between((delay.first, delay.second), topics)]
     best = min(of_source, key=lambda delay: (delay.gain is not None, delay.stddev))
     return (
         best
-        if best.second == source
+        if best.second in topics
         else replace(best, first=best.second, second=best.first, value=-best.value)
     )
 

@@ -18,7 +18,7 @@ from trackslip_estimation.setup_check.heading import (
 )
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine
 from trackslip_estimation.setup_check.path import Path, PathFits, compare_paths, dead_reckoning, thin_fixes
-from trackslip_estimation.setup_check.turning import TurnFit, fit_turns, known_windows, median_bias
+from trackslip_estimation.setup_check.turning import TurnFit, fit_turns
 
 DISTANCES = (np.array((1.0, 1.0)), np.array((1.0, -1.0)))  # signs of both tracks, up to a common one
 USUAL_EFFICIENCY = 0.7  # κ, turning efficiency, where the turns do not show it
@@ -91,8 +91,8 @@ class Drive:
 
     @cached_property
     def unbiased_turn(self) -> FloatArray:
-        """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
-        return self.turn - median_bias(*known_windows(self.turn, self.tracks_over_tread)) * WINDOW
+        """(w,) turn of the gyro, rad, less its bias."""
+        return self.turn - self.turn_fit.bias * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:
@@ -161,5 +161,5 @@ class Drive:
     def courses(self) -> Courses:
         """Straight steps of the fixes with a heading."""
         if self.fixes is None or self.compass is None:
-            return Courses(np.empty(0), np.empty(0), np.empty(0, np.int64))
-        return straight_courses(self.grid, self.gyro_turn, self.fixes, self.compass)
+            return Courses(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0))
+        return straight_courses(self.grid, self.fixes, self.compass)

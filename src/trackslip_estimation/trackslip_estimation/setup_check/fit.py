@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit of dead reckoning to the path of the fixes: scale of distance, lever arm, delay, with intervals.
 
-    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + b ∫e^{iψ}|dψ| − τ q̇_k + e      in each segment s
+    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + b_s ∫e^{iψ}|dψ| − τ q̇_k + e    in each segment s
 
-Each segment has its own place a_s, direction φ_s and scale ρ_s; Δl, b and τ are common to all. b, m/rad, is
-the distance that the tracks lose or gain in turns; if all turns are to one side, a lateral Δl has the same
-effect. τ is a delay; if all turns have one speed, a longitudinal Δl has the same effect. a_s and ρ_s are
+Each segment has its own place a_s, direction φ_s, scale ρ_s and b_s; Δl, τ and the mean b are common to all.
+b, m/rad, is the distance that the tracks lose or gain in turns; if all turns are to one side, a lateral Δl has
+the same effect. τ is a delay; if all turns have one speed, a longitudinal Δl has the same effect. a_s and ρ_s are
 projected out. Standard deviations are the larger of those of the jackknife over segments and of the fit.
 """
 
@@ -20,6 +20,7 @@ from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, degrees_of_freedom, segments
 
 _LEAST_SEGMENTS = 3
+_SLIP_CHANGE = 0.15  # standard deviation of b of one segment about the common b, share of that of b
 _ITERATIONS = 4
 _FEW_SEGMENTS = 3.0  # standard deviations by n segments grow by a share of _FEW_SEGMENTS / (n − 1)
 _LEAST_CORRELATION = 0.95  # of the fixes with the path; below it, errors or slips dominate the scale
@@ -83,14 +84,15 @@ def fit_lever(
         return None
     sums, turned = _normal_equations(path, fixes, parts)
     noise = fixes.noise**2 + 1e-6
+    sums = _with_varying_slip(sums, noise / (_SLIP_CHANGE * slip_stddev) ** 2)
     prior = np.diag((1e-9, 1e-9, slip_stddev**-2, delay_stddev**-2))
-    value = np.zeros(4)
-    for _ in range(_ITERATIONS):  # weights by the residuals of the previous fit
-        weights = sums.free / _residual_squares(sums, value, noise)
-        products = weights[:, np.newaxis, np.newaxis] * sums.products
-        of_z = weights[:, np.newaxis] * sums.of_z
-        total = products.sum(axis=0) + prior
-        value = np.linalg.solve(total, of_z.sum(axis=0))
+    # weights that begin alike, or by the residuals without a correction: the better maximum
+    starts = (np.full(len(parts), 1.0 / noise), sums.free / _residual_squares(sums, np.zeros(4), noise))
+    fits = [_reweighted_fit(sums, prior, noise, weights) for weights in starts]
+    value, weights = min(fits, key=lambda fit: _log_residual(sums, prior, noise, fit[0]))
+    products = weights[:, np.newaxis, np.newaxis] * sums.products
+    of_z = weights[:, np.newaxis] * sums.of_z
+    total = products.sum(axis=0) + prior
     uu = products[:, 0, 0]
     if (uu > 0.05 * uu.sum()).sum() < _LEAST_SEGMENTS:
         return None
@@ -105,6 +107,36 @@ def fit_lever(
     )
     gain = float(np.clip(gains, -MOST_LOG, MOST_LOG).sum())
     return Lever(complex(value[0], value[1]), (float(stddevs[0]), float(stddevs[1])), gain, turned)
+
+
+def _with_varying_slip(sums: _NormalEquations, ridge: float) -> _NormalEquations:
+    """The sums with a b of each segment projected out, which differs from the common one.
+
+    ``ridge``: variance of a fix over the variance of this difference, (m / (m/rad))².
+    """
+    b = sums.products[:, :, 2]
+    share = 1.0 / (b[:, 2] + ridge)
+    of_z = sums.of_z - (share * sums.of_z[:, 2])[:, np.newaxis] * b
+    products = sums.products - share[:, np.newaxis, np.newaxis] * b[:, :, np.newaxis] * b[:, np.newaxis, :]
+    return sums._replace(zz=sums.zz - share * sums.of_z[:, 2] ** 2, products=products, of_z=of_z)
+
+
+def _reweighted_fit(
+    sums: _NormalEquations, prior: FloatArray, noise: float, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(4,) values and the (s,) weights by which they were fitted: by the residuals of the previous fit."""
+    for k in range(_ITERATIONS):
+        total = np.einsum("s,sij->ij", weights, sums.products) + prior
+        value = np.linalg.solve(total, weights @ sums.of_z)
+        if k < _ITERATIONS - 1:
+            weights = sums.free / _residual_squares(sums, value, noise)
+    return value, weights
+
+
+def _log_residual(sums: _NormalEquations, prior: FloatArray, noise: float, value: FloatArray) -> float:
+    """−2 ln of the posterior density of (4,) values, up to a constant."""
+    logs = sums.free * np.log(_residual_squares(sums, value, noise))
+    return float(logs.sum() + value @ prior @ value)
 
 
 def _residual_squares(sums: _NormalEquations, value: FloatArray, noise: float) -> FloatArray:

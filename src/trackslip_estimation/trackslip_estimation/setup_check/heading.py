@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.finding import PRIOR
-from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_sums
+from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid
 from trackslip_estimation.setup_check.log import Array, Compass, ComplexArray, Fixes
 from trackslip_estimation.setup_check.turning import log_mixture_density
 
@@ -38,6 +38,7 @@ class Courses(NamedTuple):
     courses: FloatArray  # (n,) rad, direction in which the fixes move
     headings: FloatArray  # (n,) rad, stated
     windows: NDArray[np.int64]  # (n,) indices of the windows of the grid
+    curves: FloatArray  # (n,) turn over length of the step, rad/m
 
 
 def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
@@ -85,14 +86,14 @@ def turn_logs(heading_turns: FloatArray, machine_turns: FloatArray) -> FloatArra
     return np.asarray(np.sum(logs, axis=1))
 
 
-def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
-    """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
+def straight_courses(grid: Grid, fixes: Fixes, compass: Compass) -> Courses:
+    """Steps between fixes over windows in which the headings hardly turn."""
     edges, steps = grid.window_edges, window_displacements(fixes, grid)
-    turns, distance = np.abs(window_sums(grid, turn)), np.abs(steps)
+    turns, distance = np.diff(heading_at(compass, edges)), np.abs(steps)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
     is_far = distance > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
-    index = np.flatnonzero(is_far & (turns < _MOST_TURN) & np.isfinite(middle))
-    return Courses(np.angle(steps[index]), middle[index], index)
+    index = np.flatnonzero(is_far & (np.abs(turns) < _MOST_TURN) & np.isfinite(middle))
+    return Courses(np.angle(steps[index]), middle[index], index, turns[index] / distance[index])
 
 
 def direction_log(differences: FloatArray) -> float:

@@ -38,6 +38,7 @@ _EXACT_SHARE = 0.06  # standard deviation of a known lever arm, share of the tre
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad; a side slope causes a smaller slip angle
 _LEAST_COURSES = 5  # straight pieces
+_ARM_STDDEV = 0.5  # of the distance from the centre of rotation to a sensor, share of the contact length
 _MOST_PIECES = 0.8  # share of the pieces
 _LEAST_AGREEMENT = 0.8  # length of the mean of directions that agree
 _HALF_TURN = 0.3  # rad, tolerance of half a turn
@@ -107,15 +108,20 @@ def is_sliding(drive: Drive) -> bool:
 def judge_offset(drive: Drive, compass: Compass) -> list[Finding]:
     """Offset of headings against courses: cause, open question, and its value where there are courses."""
     steps = drive.courses
-    if len(steps.courses) < _LEAST_COURSES:
+    if drive.fixes is None or len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
         return [OpenQuestion(f"offset of the heading of {compass.name}", needed)]
     distances = drive.tracks_over_tread.sum(axis=1)[steps.windows]
     differences = wrap_angles(steps.courses - steps.headings - np.where(distances < 0.0, np.pi, 0.0))
+    # in a turn, a sensor ahead of the centre of rotation moves to its side
+    curves = np.sign(distances) * steps.curves
+    differences = wrap_angles(differences - drive.fixes.lever[0] * curves)
     middle = mean_direction(differences)
     residuals = wrap_angles(differences - middle)
-    scatter = robust_stddev(residuals)
-    stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(residuals)), 0.01))
+    scatter = robust_stddev(residuals) / float(np.sqrt(len(residuals)))
+    by_arm = _ARM_STDDEV * drive.machine.contact_length * abs(float(np.mean(curves)))
+    mean_stddev = float(np.hypot(scatter, by_arm))
+    stddev = float(np.hypot(1.25 * mean_stddev, 0.01))
     basis = f"{len(residuals)} straight pieces, course less heading"
     measured = MeasuredValue("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
     if found := _judge_reverse(compass, distances < 0.0, np.abs(residuals) > np.pi - _HALF_TURN):
@@ -123,7 +129,7 @@ def judge_offset(drive: Drive, compass: Compass) -> list[Finding]:
     is_usual = np.abs(residuals) < 0.5
     if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or is_usual.mean() < 0.7:
         return [measured]
-    log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(residuals)), 0.02)) ** 2
+    log_ratio = 0.5 * ((abs(middle) - 0.05) / max(mean_stddev, 0.02)) ** 2
     if log_ratio < LEAST_LOG:
         return [measured]
     if abs(middle) > np.pi - _HALF_TURN:
@@ -188,7 +194,7 @@ def judge_direction(drive: Drive) -> list[Finding]:
         return []
     edges = drive.grid.edges
     gyro_compass = Compass(drive.gyro.name, edges, running_sum(drive.gyro_turn))
-    steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, gyro_compass)
+    steps = straight_courses(drive.grid, drive.fixes, gyro_compass)
     distances = drive.tracks_over_tread.sum(axis=1)[steps.windows]
     if len(distances) < _LEAST_COURSES or (distances < 0.0).any():
         return []

@@ -23,6 +23,7 @@ PATTERNS = np.array(((-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0)))  # s_l
 EFFICIENCIES = np.geomspace(0.1, 1.15, 18)
 SLIP = 0.1  # standard deviation of the slip of one track about its usual slip, times κ
 OUTLIERS = 0.05  # share of windows
+_BIAS_STDDEV = np.radians(2.0)  # rad/s, of a gyro without a fault
 _NOISE = 0.03  # rad in a window: delays, quantisation
 _TURNING = np.radians(3.0)  # in a window
 _LEAST_ANGLE = np.radians(15.0)  # of a turn
@@ -55,10 +56,13 @@ def fit_turns(turn: FloatArray, x: FloatArray, scale: float = 1.0) -> TurnFit:
     variance = _NOISE**2 + SLIP**2 * np.sum(x**2, axis=1)
     residuals -= biases[:, :, np.newaxis]
     logs = log_mixture_density(residuals, variance, _outlier_width(y)).sum(axis=2)  # (k, 4)
+    if not has_standstill(x):  # an even turn is no bias
+        logs -= 0.5 * (biases / (_BIAS_STDDEV * WINDOW)) ** 2
     best = np.argmax(logs, axis=0)
     indices = np.arange(4)
     log_ratios = logs[best, indices] - none
-    bias = float(biases[best, indices][int(np.argmax(log_ratios))]) / WINDOW
+    by_tracks = float(biases[best, indices][int(np.argmax(log_ratios))]) / WINDOW
+    bias = min(by_tracks, median_bias(y, x), key=abs)  # the more usual one: turns may be independent
     return TurnFit(log_ratios, EFFICIENCIES[best], bias * scale)
 
 

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
@@ -95,7 +95,8 @@ def judge_turns(drive: Drive) -> list[Finding]:
     long on straights.
     """
     left, right = drive.tracks_over_tread.T
-    is_turning = (np.abs(drive.unbiased_turn) > _TURNING).sum() >= _LEAST_TURNING
+    turning = np.abs(drive.unbiased_turn) > _TURNING
+    is_turning = turning.sum() >= _LEAST_TURNING
     if count_turns(USUAL_EFFICIENCY * (right - left)) < LEAST_TURNS:
         return []
     by_gyro, gyro_windows = explained_share(drive.turn, drive.tracks_over_tread)
@@ -104,6 +105,8 @@ def judge_turns(drive: Drive) -> list[Finding]:
     gyro, compass, mismatches = drive.gyro, drive.compass, []
     if gyro is None or gyro_windows < _LEAST_WINDOWS or drive.is_swing_unknown:
         return []
+    if _turn_alike(drive, turning):
+        return []
     if max(by_gyro, mutual) < _UNRELATED and (is_turning or _turns_as_tracks(drive)):
         mismatches.append(f"turns of {gyro.name} that are not those of tracks or headings: another axis?")
     is_shown = compass is not None and compass.is_used and heading_windows >= _LEAST_WINDOWS and is_turning
@@ -111,6 +114,13 @@ def judge_turns(drive: Drive) -> list[Finding]:
         mismatches.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
     needed = "look at its column as it comes, while the machine turns left and right by 90°"
     return [OpenQuestion(what, needed, is_wrong=True) for what in mismatches]
+
+
+def _turn_alike(drive: Drive, turning: BoolArray) -> bool:
+    """Whether headings and gyro agree in most windows ``turning`` (n,); an even turn explains no variance."""
+    differences = np.abs(drive.heading_turn - drive.unbiased_turn)[turning]
+    agree = differences[np.isfinite(differences)] < HEADING_NOISE
+    return bool(agree.size and agree.mean() > 0.5)
 
 
 def _turns_as_tracks(drive: Drive) -> bool:
