@@ -226,7 +226,7 @@ def _judge_delays(
     )
     if findings.has_cause("time_unit") or findings.has_cause("source_delay"):
         return None, ()
-    receiver = [source.name for source in (fixes, compass) if source is not None]
+    receiver = list(dict.fromkeys(source.name for source in (fixes, compass) if source is not None))
     found, late = clocks.judge_delays(delays, receiver)
     delay = clocks.most_precise_delay(late, delays) if late else None
     if delay is not None and delay.gain is not None and fixes is not None and delay.second == fixes.name:

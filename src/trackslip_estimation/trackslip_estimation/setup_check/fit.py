@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit of dead reckoning to the path of the fixes: scale of distance, lever arm, delay, with intervals.
 
-    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + b_s ∫e^{iψ}|dψ| − τ q̇_k + e    in each segment s
+    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + b_s ∫e^{iψ}|dψ| − τ q̇_k + e   in each segment s
 
 Each segment has its own place a_s, direction φ_s, scale ρ_s and b_s; Δl, τ and the mean b are common to all.
-b, m/rad, is the distance that the tracks lose or gain in turns; if all turns are to one side, a lateral Δl has
-the same effect. τ is a delay; if all turns have one speed, a longitudinal Δl has the same effect. a_s and ρ_s are
-projected out. Standard deviations are the larger of those of the jackknife over segments and of the fit.
+b, m/rad, is the distance that the tracks lose or gain in turns; if all turns are to one side, a lateral Δl
+has the same effect. τ is a delay; if all turns have one speed, a longitudinal Δl has the same effect. a_s and
+ρ_s are projected out. Standard deviations are the larger of those of the jackknife over segments and of the
+fit.
 """
 
 from typing import NamedTuple
