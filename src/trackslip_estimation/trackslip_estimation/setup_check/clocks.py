@@ -341,7 +341,8 @@ def judge_delays(
             f"{'later' if value > 0.0 else 'earlier'} than {a}: which of them is off"
         )
         needed = "record a third source (gyro or fixes) while turning left and right"
-        return [OpenQuestion(what, needed, is_wrong=True)], ()
+        is_of_turns = any(delay.gain is None for delay in delays)  # not of a path, which errors of fixes bend
+        return [OpenQuestion(what, needed, is_wrong=is_of_turns)], ()
     signed = [(values[key][0] if key[1] in late else -values[key][0], values[key][1]) for key in pairs]
     value, stddev = min(signed, key=lambda v: v[1])
     if len(suspects) > 1:
