@@ -116,7 +116,7 @@ def test_receiver_of_one_hertz_is_not_lost_between_two_fixes(domain: int) -> Non
         node.health()
         subscription.callback(fix)
         assert [node.health()[0].message for _ in range(2)] == ["running", "running"]
-        node._received_s -= 10.0
+        node._silence._last -= 10.0
         assert node.health()[0].message == "no fixes"
 
 
@@ -127,7 +127,7 @@ def test_slow_scanner_is_not_lost_between_two_scans(domain: int) -> None:
         subscription.callback(make("sensor_msgs/msg/LaserScan"))
         texts = {node.health()[0].message for _ in range(2)}
         assert texts == {"box not found; clear the view of the laser"}
-        node._received_s -= 10.0
+        node._silence._last -= 10.0
         assert node.health()[0].message.startswith("no scans")
 
 

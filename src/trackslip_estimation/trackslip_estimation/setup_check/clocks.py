@@ -13,7 +13,7 @@ with coarser steps. Neither signs nor units change r.
 """
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -46,6 +46,7 @@ _TRIED_DELAYS = np.arange(-2.0, 2.01, 0.1)  # s, delays that are tried by the sh
 _LENGTHS = (10.0, 20.0)  # s, of segments
 _LEAST_SEGMENTS, _LEAST_LOG_RANGE = 5, 2.0  # segments that show a delay; least range of ln likelihood in each
 TRACKS = "sprockets"
+_LONGEST_LAG = 0.5  # s, of a machine behind its tracks, on ground that yields
 _LONGEST_LATENCY = 1.0  # s, of any receiver; segments that show more agree that a clock is off
 _LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings per stamp, s
 _PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive per delay; numbers of such parts
@@ -342,13 +343,13 @@ def judge_delays(
         )
         needed = "record a third source (gyro or fixes) while turning left and right"
         is_of_turns = any(delay.gain is None for delay in delays)  # not of a path, which errors of fixes bend
-        return [OpenQuestion(what, needed, is_wrong=is_of_turns)], ()
+        return [OpenQuestion(what, needed, is_wrong=is_of_turns and _is_longer_than_lag(significant))], ()
     signed = [(values[key][0] if key[1] in late else -values[key][0], values[key][1]) for key in pairs]
     value, stddev = min(signed, key=lambda v: v[1])
     if len(suspects) > 1:
         what = f"{best} is off by {abs(value):.2f} s against one other source only"
         needed = "turn left and right by 90° once each with all sources recorded"
-        return [OpenQuestion(what, needed, is_wrong=True)], ()
+        return [OpenQuestion(what, needed, is_wrong=_is_longer_than_lag(significant))], ()
     evidence = (
         f"stamps of {best} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
         f"{'later' if value > 0.0 else 'earlier'} than those of the other sources, which agree"
@@ -359,6 +360,11 @@ def judge_delays(
     )
     odds = odds_of(0.5 * ((abs(value) - 0.05) / stddev) ** 2)
     return [Cause("source_delay", late[0], evidence, odds, remedy)], late
+
+
+def _is_longer_than_lag(delays: Mapping[tuple[str, str], tuple[float, float]]) -> bool:
+    """Whether a machine that lags behind its tracks does not explain the delays, s ± s, of all pairs."""
+    return any(TRACKS not in pair or abs(delay) > _LONGEST_LAG for pair, (delay, _) in delays.items())
 
 
 def _is_between(pair: tuple[str, str], topics: Collection[str]) -> bool:

@@ -10,7 +10,7 @@ l        stated place of the sensor in base_link                                
 
 Each path is fitted to each segment; ln(RSS_b/RSS_a) ν/2 is the ln likelihood ratio of path a over b. ν counts
 fixes at least a second apart, and no ratio of a segment exceeds e⁴: errors of receivers and slips are
-time-correlated.
+time-correlated. RSS is at least the median, over the segments, of the best path: fixes that wander.
 """
 
 from collections.abc import Sequence
@@ -168,6 +168,8 @@ def _segment_logs(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple
     free, both = degrees_of_freedom(fixes, parts), np.vstack((columns, z))
     parts_of_both = [both[:, first:stop] for first, stop in parts.tolist()]
     squares = np.array([_pairwise_residual_squares(part) for part in parts_of_both])  # (s, p + 1, p + 1)
+    usual = np.median(squares[:, :-1, -1].min(axis=1) / moments.counts)
+    floor = np.maximum(floor, moments.counts * usual)
     logs = -free * np.log(squares[:, :-1, -1].T + floor)
     logs = np.maximum(logs - logs.max(axis=0), -MOST_LOG)
     a, b = np.triu_indices(len(columns), 1)

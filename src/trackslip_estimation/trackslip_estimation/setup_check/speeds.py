@@ -193,7 +193,8 @@ def judge_distance(
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)]
     if middle - ratios.half_interval > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
-        return [OpenQuestion(what, "drive 20 m straight in each gear", is_wrong=ratios.is_straight)]
+        needed = "drive 20 m straight in each gear; a Web Mercator map is larger by 1/cos(latitude)"
+        return [OpenQuestion(what, needed, is_wrong=ratios.is_straight)]
     ahead = int((ratios.values > _GEAR[0]).sum())
     if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
         what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"

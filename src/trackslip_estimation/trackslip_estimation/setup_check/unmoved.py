@@ -105,7 +105,7 @@ def judge_turns(drive: Drive) -> list[Finding]:
     gyro, compass, mismatches = drive.gyro, drive.compass, []
     if gyro is None or gyro_windows < _LEAST_WINDOWS or drive.is_swing_unknown:
         return []
-    if _turn_alike(drive, turning):
+    if _is_same_turn(drive, turning):
         return []
     if max(by_gyro, mutual) < _UNRELATED and (is_turning or _turns_as_tracks(drive)):
         mismatches.append(f"turns of {gyro.name} that are not those of tracks or headings: another axis?")
@@ -116,7 +116,7 @@ def judge_turns(drive: Drive) -> list[Finding]:
     return [OpenQuestion(what, needed, is_wrong=True) for what in mismatches]
 
 
-def _turn_alike(drive: Drive, turning: BoolArray) -> bool:
+def _is_same_turn(drive: Drive, turning: BoolArray) -> bool:
     """Whether headings and gyro agree in most windows ``turning`` (n,); an even turn explains no variance."""
     differences = np.abs(drive.heading_turn - drive.unbiased_turn)[turning]
     agree = differences[np.isfinite(differences)] < HEADING_NOISE
