@@ -20,8 +20,9 @@ from trackslip_common.orientations import wrap_angles
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.sources import PoseSource
-from trackslip_tools.report.panel import BLUE, GREEN, INK, ORANGE, SIGMAS, Curve, Form, Panel, curve_colour
+from trackslip_tools.report.panel import BLUE, GREEN, INK, ORANGE, SIGMAS, Curve, Form, Panel
 from trackslip_tools.report.run import Run
+from trackslip_tools.report.run_styles import curve_colour
 
 WINDOW = 25  # innovations in a moving mean
 _TAIL = 0.025  # of χ², on either side of the band of that mean

@@ -5,16 +5,11 @@
 The colours are those of Okabe and Ito, which people with any kind of colour blindness distinguish.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING, NamedTuple
 
 from trackslip_common.arrays import FloatArray
-
-if TYPE_CHECKING:  # avoids an import of the replay by the live page
-    from trackslip_tools.report.run import Run, States
-
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY)  # of runs, or of similar curves of one run
@@ -71,42 +66,3 @@ class Panel:
 def sigma_band(values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The band about values, ± ``SIGMAS`` ``sigmas`` (standard deviations)."""
     return values - SIGMAS * sigmas, values + SIGMAS * sigmas
-
-
-class DrawnStates(NamedTuple):
-    """States to draw, with the style for a report of one run."""
-
-    name: str
-    states: "States"
-    colour: str
-    form: Form
-
-
-def drawn_states(run: "Run") -> Iterator[DrawnStates]:
-    """The filter's states and, if computed, the smoothed ones."""
-    if run.states is not None:
-        yield DrawnStates("estimate", run.states, BLUE, Form.LINE)
-    if run.smoothed_states is not None:
-        yield DrawnStates("smoothed", run.smoothed_states, PURPLE, Form.DASHED)
-
-
-def curve_label(runs: Sequence["Run"], run: "Run", what: str) -> str:
-    """Label of a curve: its quantity, and its run if there are several."""
-    if len(runs) == 1:
-        return what
-    return run.label if what == "estimate" else f"{run.label}, {what}"
-
-
-def curve_style(runs: Sequence["Run"], run: "Run", what: str, own: str) -> tuple[str, str]:
-    """Label and colour of a curve; ``own``: its colour in a report of one run."""
-    return curve_label(runs, run, what), curve_colour(runs, run, own)
-
-
-def plot_title(runs: Sequence["Run"], run: "Run", what: str) -> str:
-    """Title of a plot: its quantity, and its run if there are several."""
-    return what if len(runs) == 1 else f"{what}, {run.label}"
-
-
-def curve_colour(runs: Sequence["Run"], run: "Run", own: str) -> str:
-    """The run's colour if there are several runs, else the curve's own."""
-    return own if len(runs) == 1 else COLOURS[runs.index(run)]

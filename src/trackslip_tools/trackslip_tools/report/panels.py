@@ -18,16 +18,11 @@ from trackslip_tools.report.panel import (
     BLUE,
     COLOURS,
     INK,
+    PURPLE,
     SIGMAS,
     Curve,
-    DrawnStates,
     Form,
     Panel,
-    curve_colour,
-    curve_label,
-    curve_style,
-    drawn_states,
-    plot_title,
     sigma_band,
 )
 from trackslip_tools.report.quantities import (
@@ -39,27 +34,27 @@ from trackslip_tools.report.quantities import (
     Quantity,
 )
 from trackslip_tools.report.run import Run, States, first_runs_of_bags
+from trackslip_tools.report.run_styles import curve_colour, curve_label, curve_style, plot_title
 
 
 def error_panels(runs: Sequence[Run]) -> list[Panel]:
     """Errors of position and heading against the reference, with their 2σ in the estimate."""
     distance, heading = [], []
-    for run, drawn in _drawn_states(runs):
-        errors = errors_of(run, drawn.states)
+    for drawn in _drawn_states(runs):
+        errors = errors_of(drawn.run, drawn.states)
         if errors is None:
             continue
-        style = curve_style(runs, run, drawn.name, drawn.colour)
         variances = np.diagonal(errors.covariances, axis1=1, axis2=2)
         distances = 100.0 * np.hypot(errors.values[:, 0], errors.values[:, 1])
         bounds = 100.0 * SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
         band = (np.zeros_like(distances), bounds)
-        distance.append(Curve(*style, errors.times, distances, drawn.form, band))
+        distance.append(Curve(*drawn.style, errors.times, distances, drawn.form, band))
         heading_errors = DEGREES * errors.values[:, 2]
         if not np.isfinite(heading_errors).any():  # a reference without headings
             continue
         known_variances = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
         band = sigma_band(np.zeros_like(heading_errors), DEGREES * np.sqrt(known_variances))
-        heading.append(Curve(*style, errors.times, heading_errors, drawn.form, band))
+        heading.append(Curve(*drawn.style, errors.times, heading_errors, drawn.form, band))
     if not distance:
         return []
     panels = [Panel("Position: distance from the reference", "error, cm", distance, from_zero=True)]
@@ -127,20 +122,34 @@ def _true_slips(run: Run) -> Series | None:
 
 
 def _estimated_motion(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
-    for run, drawn in _drawn_states(runs):
+    for drawn in _drawn_states(runs):
         states = drawn.states
         values, (lower, upper) = quantity.values_with_band(states.rows, quantity.scale)
         if quantity.estimate == "slips":
             values, lower, upper = (
                 np.where(states.is_moving, column, np.nan) for column in (values, lower, upper)
             )
-        times = run.recording.seconds(states.path.stamps_ns)
-        style = curve_style(runs, run, drawn.name, drawn.colour)
-        yield Curve(*style, times, values, drawn.form, (lower, upper))
+        times = drawn.run.recording.seconds(states.path.stamps_ns)
+        yield Curve(*drawn.style, times, values, drawn.form, (lower, upper))
 
 
-def _drawn_states(runs: Sequence[Run]) -> Iterator[tuple[Run, DrawnStates]]:
-    return ((run, drawn) for run in runs for drawn in drawn_states(run))
+class _DrawnStates(NamedTuple):
+    """States of a run to draw."""
+
+    run: Run
+    states: States
+    style: tuple[str, str]  # label and colour
+    form: Form
+
+
+def _drawn_states(runs: Sequence[Run]) -> Iterator[_DrawnStates]:
+    """The filters' states and, if computed, the smoothed ones."""
+    for run in runs:
+        if run.states is not None:
+            yield _DrawnStates(run, run.states, curve_style(runs, run, "estimate", BLUE), Form.LINE)
+        if run.smoothed_states is not None:
+            style = curve_style(runs, run, "smoothed", PURPLE)
+            yield _DrawnStates(run, run.smoothed_states, style, Form.DASHED)
 
 
 def ground_panels(runs: Sequence[Run]) -> list[Panel]:

@@ -13,20 +13,11 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_tools.replay.series import Path
 from trackslip_tools.report import plan_shapes
-from trackslip_tools.report.panel import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    curve_colour,
-    curve_label,
-    curve_style,
-)
+from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE
 from trackslip_tools.report.plan_shapes import machine_size
 from trackslip_tools.report.plots import extreme_indices, plot_tools, style_plot
 from trackslip_tools.report.run import Run, States, first_runs_of_bags
+from trackslip_tools.report.run_styles import curve_colour, curve_label, curve_style
 
 _HEIGHT = 620
 BOX_SOURCE = "box_pose"

@@ -20,9 +20,10 @@ from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.replay.stuck_tracks import TROUBLE_TEXTS
 from trackslip_tools.report.events import Event, Events, mask_numbers
 from trackslip_tools.report.lights import Level
-from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY, plot_title
+from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run, first_runs_of_bags
+from trackslip_tools.report.run_styles import plot_title
 from trackslip_tools.report.state_intervals import (
     Bar,
     StateInterval,
