@@ -12,7 +12,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds, unmoved
+from trackslip_estimation.setup_check import (
+    clocks,
+    inertial,
+    places,
+    sides,
+    signs,
+    speeds,
+    time_units,
+    unmoved,
+)
+from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import (
@@ -30,7 +40,7 @@ from trackslip_estimation.setup_check.finding import (
 from trackslip_estimation.setup_check.fit import Lever, segment_scales
 from trackslip_estimation.setup_check.grid import WINDOW, make_grid, running_sum, window_sums
 from trackslip_estimation.setup_check.heading import heading_unit
-from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
+from trackslip_estimation.setup_check.log import TRACKS, Compass, Fixes, Gyro, Log
 from trackslip_estimation.setup_check.missing_values import remove_missing
 from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
@@ -62,11 +72,11 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     findings.add(_unusable_cause(name, count) for name, count in log.unusable.items())
     log, causes = remove_missing(log)
     findings.add(causes)
-    log, causes = clocks.correct_time_units(log)
-    causes += clocks.judge_fractions(log)
+    log, causes = time_units.correct_time_units(log)
+    causes += time_units.judge_fractions(log)
     findings.add(causes)
     if not causes:  # else the log may lack the sources in another unit
-        log, causes = clocks.with_common_clock(log)
+        log, causes = with_common_clock(log)
         findings.add(causes)
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
     fixes, causes = places.drop_held(log.fixes)
@@ -221,9 +231,7 @@ def _judge_delays(
     In turns, both shift fixes along the path.
     """
     fixes, compass = drive.fixes, drive.compass
-    findings.add(
-        _measured_delay(delay) for delay in delays if delay.first == clocks.TRACKS and delay.stddev < 0.2
-    )
+    findings.add(_measured_delay(delay) for delay in delays if delay.first == TRACKS and delay.stddev < 0.2)
     if findings.has_cause("time_unit") or findings.has_cause("source_delay"):
         return None, ()
     receiver = list(dict.fromkeys(source.name for source in (fixes, compass) if source is not None))
@@ -285,7 +293,7 @@ def summary_lines(log: Log, drive: Drive, unit: float) -> list[str]:
         turns[f"the heading of {drive.compass.name}"] = drive.heading_turn
     turned = [f"{np.degrees(np.nansum(np.abs(turn))):.0f}° by {name}" for name, turn in turns.items()]
     lines.append(f"turned: {', '.join(turned)}")
-    series = [(name, t) for name, _, t in clocks.source_stamps(log) if len(t) > 2]
+    series = [(name, t) for name, _, t in time_units.source_stamps(log) if len(t) > 2]
     rates = [f"{name} {1.0 / float(np.median(np.diff(t))):.3g} Hz" for name, t in series]
     lines.append(f"rates: {', '.join(rates)}")
     return lines

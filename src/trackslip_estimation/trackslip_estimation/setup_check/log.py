@@ -19,6 +19,8 @@ from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 ComplexArray = NDArray[np.complex128]
 Array = TypeVar("Array", FloatArray, ComplexArray)
 
+TRACKS = "sprockets"  # topic
+
 
 class Machine(NamedTuple):
     """Stated geometry."""
