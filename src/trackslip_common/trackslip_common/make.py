@@ -18,7 +18,7 @@ class MessageFactory(Protocol):
 
 def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
     """std_msgs/Header."""
-    sec, nanosec = divmod(min(stamp_ns, _LATEST_NS), NS_PER_S)
+    sec, nanosec = _seconds_of(stamp_ns)
     stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
@@ -26,7 +26,12 @@ def header(make: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
 def set_stamp(message: Any, stamp_ns: int) -> None:
     """Stamp a message that has a header."""
     stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(min(stamp_ns, _LATEST_NS), NS_PER_S)
+    stamp.sec, stamp.nanosec = _seconds_of(stamp_ns)
+
+
+def _seconds_of(stamp_ns: int) -> tuple[int, int]:
+    """Seconds and nanoseconds of a stamp; of a later one than a message can hold, those of the latest."""
+    return divmod(min(stamp_ns, _LATEST_NS), NS_PER_S)
 
 
 def stamp_ns_of(message: Any) -> int:

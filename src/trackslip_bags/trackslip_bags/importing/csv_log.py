@@ -125,10 +125,11 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     for axis in ("x", "y") if topic.role == "pose" else ():
         chosen.reject(~(variances[axis] > 0.0), f"no standard deviation of {axis} above 0")
     if topic.role == "pose" and "quality" in columns:
+        least = least_variances(columns["quality"])
         chosen.reject(status_of(columns["quality"]) < 0.0, "no fix by its quality")
         for axis in ("x", "y"):  # a number is that of fixed ambiguities, a column is of each row
             if not isinstance(topic.spreads[axis].value, Column):
-                variances[axis] = np.maximum(variances[axis], least_variances(columns["quality"]))
+                variances[axis] = np.maximum(variances[axis], least)
     if topic.role == "heading" and "qw" in columns:
         is_zero = np.equal([columns[name] for name in QUATERNION], 0.0).all(axis=0)
         chosen.reject(is_zero, "holds no orientation")
