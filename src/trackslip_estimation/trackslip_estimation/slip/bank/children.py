@@ -114,11 +114,12 @@ def create_children(window: Window, k: int, c: Config) -> int:
     for p in parents:
         _make_children(window, p, k, c)
     for p in parents:  # last, as they take the most time
+        if not _is_likely(window, p, k, c):
+            continue
         if _can_have_earlier_event(window, p, k, c):
             implausible = _is_slip_implausible(window, p, k, c)
             make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
-        if _is_likely(window, p, k, c):
-            window.pool_branches[p].cusum[:] = 0.0
+        window.pool_branches[p].cusum[:] = 0.0
     return int(window.status[0].pooled)
 
 
@@ -270,10 +271,10 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
 
 @compiled
 def _can_have_earlier_event(window: Window, p: int, k: int, c: Config) -> bool:
-    """Whether an event since the snapshot of branch p may explain measurement k."""
+    """Whether an event since the snapshot of p, a likely branch, may explain measurement k."""
     m = window.measurements[k]
     fault = window.states[p, k - 1].fault[m.source]
-    if m.kind not in (POSE, VELOCITY) or fault == IS_SCATTERING or not _is_likely(window, p, k, c):
+    if m.kind not in (POSE, VELOCITY) or fault == IS_SCATTERING:
         return False
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     return bool(shows or _is_contradicted(window, p, k, c) or _is_slip_implausible(window, p, k, c))
