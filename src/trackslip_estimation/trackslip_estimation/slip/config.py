@@ -32,7 +32,7 @@ from trackslip_estimation.slip.models.swing import constants as swing_constants
 from trackslip_estimation.slip.models.turning import TurningConstants
 from trackslip_estimation.slip.motion import LimitsRecord, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, TRACKS, Adaptation
+from trackslip_estimation.slip.records import BRAKE, GYROS, MOST_SOURCES, TRACKS, Adaptation
 from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME, YAW_TIME
 
 ConfigRecord = NDArray[np.void]
@@ -76,7 +76,7 @@ class Config(Record):
     unknown_time: float  # correlation time of both, s
     unmodelled_yaw_rate: float  # standard deviation of an unknown yaw rate that is no state, rad/s
     max_gap: float  # s
-    shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, ``TRACKS``, and ``GYROS`` if any
+    shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, and units if any
     window_ns: int
     clock: ClockLimits
     gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite: all are accepted
@@ -219,7 +219,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
             c["repeat_times"][numbers[name]] = p.swing.repeat_time
     c["swing_pose_source"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     c["shows_motion"][[TRACKS, *(numbers[name] for name in p.odometries())]] = 1
-    c["shows_motion"][GYROS] = 1 if p.gyros() else 0
+    c["shows_motion"][[GYROS, BRAKE]] = bool(p.gyros()), bool(above)
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude, measures_height=p.measures_height), -1
@@ -234,7 +234,8 @@ def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]
     """Set the rates of events by source; a source without own rates uses 1/s for its faults and jumps."""
     by_name = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
     by_name |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
-    by_name |= {name: (encoder.fault_rate, encoder.jump_rate) for name, encoder in p.swing_encoders().items()}
+    swing = p.events.swing_rate
+    by_name |= {name: (encoder.fault_rate, swing) for name, encoder in p.swing_encoders().items()}
     by_name |= {name: (velocity.fault_rate, 1.0) for name, velocity in p.velocities().items()}
     by_number = {numbers[name]: rates for name, rates in by_name.items()}
     c["log_rates"] = -np.inf
@@ -242,6 +243,7 @@ def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]
         rates = event_rates(p.events, *by_number.get(k, (1.0, 1.0)), p.bank.repeat_jitter)
         for event, rate in rates.items():
             c["log_rates"][event, k] = math.log(rate)
+    c["log_rates"][Event.FAILED, BRAKE] = math.log(swing)
 
 
 def _set_odometry(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:

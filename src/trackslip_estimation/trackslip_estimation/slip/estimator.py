@@ -18,6 +18,7 @@ from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.bank.rows import probability_of_best
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.explanations import (
+    BRAKE_NAME,
     AcceptedEvent,
     CompetingExplanations,
     Sources,
@@ -40,7 +41,7 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import clear, fill_last_estimate, process
-from trackslip_estimation.slip.records import ESTIMATE, GYROS, RESULT, TRACKS, to_records
+from trackslip_estimation.slip.records import BRAKE, ESTIMATE, GYROS, RESULT, TRACKS, to_records
 from trackslip_estimation.slip.window import Records, Window, enlarged_copy, make_window
 
 Step = tuple[Report, "Estimate | None"]
@@ -255,7 +256,8 @@ class SlipEstimator:
         self.sources = {name: number for number, name in enumerate(p.timeouts_ns())}
         self.config = make_config(p, self._window_ns)
         self.learned_context = learned_context(p)
-        names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
+        names = {number: name for name, number in self.sources.items()}
+        names |= {TRACKS: "sprockets", GYROS: "gyro", BRAKE: BRAKE_NAME}
         c = self.config[0]
         offset_states = c["offsets"].tolist(), c["yaw_offsets"].tolist()
         self._named_sources = Sources(names, *offset_states, set(p.velocities()), set(p.swing_encoders()))

@@ -31,7 +31,8 @@ before the measurement that the event explains. "Since": after the latest consis
                      the motion (encoder fault, towed, slides); or
                      i₀, about −1: half of their counts are lost; or
                      heading: the gyros do not measure the yaw rate; or
-                     i₀: odometry measures another motion
+                     i₀: odometry measures another motion; or
+                     σ̇: the upper structure swings while the tracks drive
     LATE             delay of all fixes                                  before all of them
     BIASED           bias of the first gyro, and the heading             since
                      the same, and the offset of a coarse receiver       or earlier
@@ -133,6 +134,9 @@ class EventParameters(Parameters):
     failure_rate: float = parameter("rate at which sprockets, gyros or an odometry fail", unit="1/s", gt=0.0)
     failure_heading: float = parameter(
         "standard deviation of the heading error by gyros that failed", unit="rad", ge=0.0
+    )
+    swing_rate: float = parameter(
+        "rate at which the upper structure begins to swing while the tracks drive", unit="1/s", gt=0.0
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
     bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)

@@ -99,7 +99,11 @@ _FINDING_HEADING, _HEADING_WAS_UNKNOWN = "the heading is being found from fixes"
 _JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
 _OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
-_FAILURES = "{source} and motion disagree"
+_FAILURES, BRAKE_NAME = "{source} and motion disagree", "swing brake"
+_BRAKE_WORDS = {
+    Event.FAILED: "the upper structure swings while the tracks drive",
+    Event.RECOVERED: "the upper structure has stopped",
+}
 _WORDS = {
     Event.NONE: NOTHING_HAPPENED,
     Event.OUTLIER: "one measurement of {source} is an outlier",
@@ -186,6 +190,8 @@ def accepted_events(
 
 def _event_text(event: Event, source: str, is_swing_source: bool) -> str:
     words = _PERMANENT_OFFSET if is_swing_source and event is Event.BECAME_JUMP else _WORDS[event]
+    if source == BRAKE_NAME:
+        words = _BRAKE_WORDS.get(event, words)
     return words.format(source=source)
 
 
@@ -247,7 +253,7 @@ def _offset_start_ns(events: Sequence[Any], source: int, stamp_ns: int) -> int:
 def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources) -> str:
     name, first = sources.names[number], sources.offsets[number]
     if fault is SourceFault.FAILED:
-        return _FAILURES.format(source=name)
+        return _event_text(Event.FAILED, name, is_swing_source=False)
     if fault is SourceFault.MISCOUNTS:
         return f"{name} count half of the distance"
     if fault in (SourceFault.REPEATS, SourceFault.STAYS, SourceFault.WANDERS):

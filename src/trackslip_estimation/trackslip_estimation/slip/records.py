@@ -33,7 +33,7 @@ from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MotionRecord, SpeedsRecord
 from trackslip_estimation.slip.wandering import Wander
 
-MOST_SOURCES = 14  # of all kinds together
+MOST_SOURCES = 15  # of all kinds together, and units
 MOST_ODOMETRIES = 2
 
 # kinds of measurements, in their order at one stamp
@@ -66,7 +66,7 @@ class MeasurementRecord(Record):
 
 MEASUREMENT = dtype_of(MeasurementRecord)
 
-TRACKS, GYROS = MOST_SOURCES - 3, MOST_SOURCES - 2  # numbers of the sprockets and of all gyros in ``fault``
+TRACKS, GYROS, BRAKE = range(MOST_SOURCES - 4, MOST_SOURCES - 1)  # sprockets, gyros, swing brake: ``fault``
 MANUAL = MOST_SOURCES - 1  # source number of a manual pose: the last at its stamp
 
 

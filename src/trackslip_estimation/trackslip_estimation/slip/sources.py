@@ -223,7 +223,6 @@ class SwingSource(Source):
     """A sensor of the swing; its gate widens with each further timeout."""
 
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
-    jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     offset: float = parameter(
         "its reading while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
     )

@@ -54,6 +54,7 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.swing import is_free_to_swing, is_moved_by_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import (
+    BRAKE,
     GYROS,
     HEADING,
     MOST_SOURCES,
@@ -407,4 +408,5 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         add_child(window, p, k, SWUNG, source, MEASURED, False, jumped, c)
     if m.kind == HEADING:
         add_child(window, p, k, TURNED, source, MEASURED, False, jumped, c)
-        make_failed_unit_child(window, p, k, GYROS, 0.0, c)
+        for unit in (GYROS, BRAKE):
+            make_failed_unit_child(window, p, k, unit, 0.0, c)

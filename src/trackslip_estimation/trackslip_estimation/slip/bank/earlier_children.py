@@ -40,8 +40,8 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.slope import is_on_slope
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
-from trackslip_estimation.slip.models.swing import is_free_to_swing
-from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS, VELOCITY
+from trackslip_estimation.slip.models.swing import is_free_to_swing, is_swing_braked
+from trackslip_estimation.slip.records import BRAKE, GYROS, MOST_SOURCES, OLDER, POSE, TRACKS, VELOCITY
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_MISCOUNTING,
@@ -169,7 +169,7 @@ def has_recent_fix(before: State, m: MeasurementRecord, c: Config) -> bool:
 
 @compiled
 def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
-    """Add children in which sprockets, gyros, an odometry or a swing encoder have not measured the motion.
+    """Add children in which a unit has failed: sprockets, gyros, an odometry, swing brake or encoder.
 
     A slip nearer to −1 than to its range indicates lost counts; their event replaces the slip event in the
     prior of the branch. Sensors on the upper structure show a swing that a frozen encoder does not.
@@ -205,14 +205,18 @@ def make_failed_unit_child(window: Window, p: int, k: int, unit: int, penalty: f
 
 @compiled
 def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> bool:
-    """Whether measurements can show to branch p that a unit fails; with an infinite gate everything is used.
+    """Whether measurement k can show to branch p that a unit fails; with an infinite gate everything is used.
 
-    While the heading is unknown they cannot, as a wrong heading explains the same fixes, unless these show a
-    longer displacement than the sprockets: it has the same length at any heading.
+    Only sensors on the upper structure show that the swing brake fails. While the heading is unknown, nothing
+    shows a failure, as a wrong heading explains the same fixes, unless these show a longer displacement than
+    the sprockets: it has the same length at any heading.
     """
+    before, source = window.states[p, k - 1], window.measurements[k].source
     if math.isinf(c.gate_limits[1]):
         return False
-    is_unknown = is_heading_undetermined(window.states[p, k - 1])
+    if unit == BRAKE and not (is_swing_braked(before) and c.above[source] == 1):
+        return False
+    is_unknown = is_heading_undetermined(before)
     return bool(not is_unknown or (unit == TRACKS and _is_farther_than_tracks(window, p, k, c)))
 
 

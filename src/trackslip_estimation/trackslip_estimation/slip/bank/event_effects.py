@@ -57,7 +57,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, TURN_STATE_2
-from trackslip_estimation.slip.records import GYROS, TRACKS
+from trackslip_estimation.slip.records import BRAKE, GYROS, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_FAILED,
     IS_HEADING_OFF,
@@ -276,10 +276,12 @@ def _inflate_gyro_bias(P: FloatArray, unseen: float, c: Config) -> None:
 
 @compiled
 def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
-    """Inflate or reset the state that failed sprockets, gyros or an odometry affect."""
+    """Inflate or reset the state that failed sprockets, gyros, an odometry or the swing brake affect."""
     opened = c.events.slip_stddev**2
     if e.source == GYROS:
         state.covariance[YAW, YAW] += c.events.failure_heading**2
+    elif e.source == BRAKE:
+        state.covariance[SWING_RATE, SWING_RATE] += c.swing.fastest**2
     elif e.source < TRACKS:
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
     elif e.source == TRACKS and e.part == LOST:

@@ -12,7 +12,8 @@
 At standstill, or while the sprockets are silent, the upper structure may swing. Noise of density q drives σ̇;
 without any sensor its standard deviation grows to ω̂, τ = 2 ω̂²/q. While the tracks drive, the brake holds the
 upper structure: σ̇ decays within ω̂/a and stays near zero. If it still swings when the tracks start, it keeps
-the free noise until its estimated rate is small.
+the free noise until its estimated rate is small. In a branch in which the brake has failed, it may also swing
+while the tracks drive.
 
 Tracks turn about the loaded part of their contact: x_I moves by g (cos σ' − cos σ) with the centre of
 gravity. On the shear truth both move equally far. Motion of arm and bucket adds an error to x_I.
@@ -32,6 +33,8 @@ from trackslip_common.vehicle import VehicleParameters
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
 from trackslip_estimation.slip.models.speed import ROTATION_OFFSET
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.records import BRAKE
+from trackslip_estimation.slip.source_faults import IS_HEALTHY
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -105,8 +108,8 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 @compiled
 def is_swing_braked(state: State) -> bool:
-    """Whether the tracks drive, so that the brake holds the upper structure."""
-    return bool(state.motion.motion == _STRAIGHT or state.motion.motion == _TURNING)
+    """Whether the tracks drive and the brake holds the upper structure, as far as a branch assumes."""
+    return bool(state.motion.motion in (_STRAIGHT, _TURNING) and state.fault[BRAKE] == IS_HEALTHY)
 
 
 @compiled

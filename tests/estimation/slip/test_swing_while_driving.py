@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The upper structure swings while the tracks drive, and no encoder measures it."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import GNSS
+from fixtures.pose_errors import errors_over
+from fixtures.swinging_cab import Cab, Part, record
+
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+WITHOUT_ENCODER = {"vehicle": "pc05_cab", "swing_sources": [""]}
+RECEIVERS: Mapping[str, Mapping[str, float | bool]] = {
+    "two antennas": {"sources.box_pose.yaw_offset_stddev": 0.02},
+    "one antenna": {"sources.box_pose.use_heading": False, "initial_yaw_stddev": 0.02},
+}
+BEFORE = [Part(2.0), Part(6.0, swing_to=2.0), Part(10.0, 2.0, 2.0), Part(6.0, 1.2, 2.2)]
+AFTER = [Part(8.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(8.0, 2.0, 2.0)]
+SWINGS: Mapping[str, Sequence[Part]] = {
+    "on a straight": [Part(8.0, 2.0, 2.0, swing_to=-1.0)],
+    "by half a radian": [Part(3.0, 2.0, 2.0, swing_to=1.5)],
+    "in a turn": [Part(6.0, 1.2, 2.2, swing_to=0.0)],
+    "against a turn": [Part(6.0, 2.2, 1.2, swing_to=2.9)],
+    "in reverse": [Part(2.0), Part(8.0, -2.0, -2.0, swing_to=-1.0)],
+}
+
+
+@pytest.mark.parametrize("fix_hertz", [5.0, 1.0])
+@pytest.mark.parametrize("receiver", RECEIVERS)
+@pytest.mark.parametrize("swing", SWINGS)
+def test_swing_while_the_tracks_drive_turns_neither_undercarriage_nor_path(
+    swing: str, receiver: str, fix_hertz: float
+) -> None:
+    drive = record([*BEFORE, *SWINGS[swing], *AFTER], Cab(fix_hertz=fix_hertz, encoder=False))
+    parameters = load_slip_parameters(WITHOUT_ENCODER, GNSS, RECEIVERS[receiver])
+    found, estimator = errors_over(drive.measurements, drive, parameters)
+    found = found.between(24.0)
+    assert found.rms < 0.03
+    assert np.abs(found.off[:, 2]).max() < 0.3
+    assert found.nees(2).mean() < 4.0
+    assert found.heading_nees < 3.0
+    assert Event.FAILED in {e.event for e in estimator.read_events() if e.source == "swing brake"}
