@@ -96,7 +96,9 @@ class Config(Record):
     measures_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether the source measures swing angles
     velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
     body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether velocities are along the sensor's axes
-    repeat_times: Annotated[FloatArray, MOST_SOURCES]  # correlation time of fixes from the upper structure, s
+    repeat_times: Annotated[
+        FloatArray, MOST_SOURCES
+    ]  # of fixes by a laser on the upper structure, s
     standing_share: Annotated[FloatArray, MOST_SOURCES]
     events: EventParameters
     bank: BankParameters
@@ -215,7 +217,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
     above = [numbers[name] for name, source in p.mountable_sources().items() if source.above]
     c["above"][above] = 1
     for name, pose in p.poses().items():
-        if pose.above:
+        if pose.above and pose.standing_share > 0.0:
             c["repeat_times"][numbers[name]] = p.swing.repeat_time
     c["swing_pose_source"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     c["shows_motion"][[TRACKS, *(numbers[name] for name in p.odometries())]] = 1

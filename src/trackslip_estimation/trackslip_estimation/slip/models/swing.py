@@ -84,8 +84,8 @@ class SwingParameters(Parameters):
         ge=0.0,
     )
     repeat_time: float = parameter(
-        "correlation time of the errors of fixes by sensors on the upper structure, which depend on "
-        "their place about the swing axis; more frequent fixes are down-weighted",
+        "correlation time of the errors of fixes on the upper structure that depend on their place about the "
+        "swing axis, as those of a laser (``standing_share``); more frequent fixes are down-weighted",
         unit="s",
         ge=0.0,
         le=600.0,

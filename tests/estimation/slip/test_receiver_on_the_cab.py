@@ -1,16 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The upper structure swings while the tracks drive, and no encoder measures it."""
+"""The upper structure swings, with a GNSS receiver on it: at standstill, and while the tracks drive."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS
 from fixtures.pose_errors import errors_over
-from fixtures.swinging_cab import Cab, Part, record
+from fixtures.swinging_cab import Cab, Part, dig, record
 
+from trackslip_common.arrays import FloatArray
+from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 WITHOUT_ENCODER = {"vehicle": "pc05_cab", "swing_sources": [""]}
@@ -44,3 +49,27 @@ def test_swing_while_the_tracks_drive_turns_neither_undercarriage_nor_path(
     assert found.nees(2).mean() < 4.0
     assert found.heading_nees < 3.0
     assert Event.FAILED in {e.event for e in estimator.read_events() if e.source == "swing brake"}
+
+
+def with_correlated_errors(measurements: Iterable[Measurement], seed: int) -> list[Measurement]:
+    """The measurements with errors of their positions of 1 cm, with a correlation time of 5 s."""
+    random, error, last_ns, changed = np.random.default_rng(seed), np.zeros(2), 0, list[Measurement]()
+    for m in measurements:
+        if isinstance(m, PoseFix):
+            decay, last_ns = math.exp(-(m.stamp_ns - last_ns) * 1e-9 / 5.0), m.stamp_ns
+            error = decay * error + math.sqrt(1.0 - decay**2) * 0.01 * random.standard_normal(2)
+            off: FloatArray = np.array((*error, 0.0))
+            m = replace(m, pose=m.pose + off, covariance=m.covariance + np.diag((1e-4, 1e-4, 0.0)))
+        changed.append(m)
+    return changed
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("receiver", RECEIVERS)
+def test_time_correlated_errors_of_a_receiver_on_the_cab_are_no_events(receiver: str, seed: int) -> None:
+    drive = record([*dig(), *dig(-math.pi), *dig()], Cab(fix_hertz=10.0, seed=seed))
+    estimator = SlipEstimator(load_slip_parameters({"vehicle": "pc05_cab"}, GNSS, RECEIVERS[receiver]))
+    steps = estimator.process_all(with_correlated_errors(drive.measurements, seed))
+    assert estimator.read_events() == []
+    fixes = [report for report, _ in steps if report.source == "box_pose"]
+    assert sum(fix.outcome is Outcome.GATED for fix in fixes) <= 0.01 * len(fixes)
