@@ -4,6 +4,8 @@
 
 import sys
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,13 +30,16 @@ from trackslip_estimation.slip.silence import SilenceMonitor
 UNCERTAIN_TEXT = (
     "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
 )
-_LOST_TEXT = "box not found; clear the view of the laser"
-_OTHER_THING_TEXT = (
-    "what is in the place of the box has another size or shape: check sensors.box of the vehicle"
-)
+_OTHER_THING_TEXT = "an object of another size or shape is in the place of the box: check sensors.box"
 _MISFIT_TEXT = "fits are worse than the noise: check length and width in sensors.box, and range_stddev"
 _NO_SCANS = "no scans: check the laser driver"
-_OTHER_THING = (Reason.SIZE, Reason.SHAPE)
+_LOST_TEXTS: Mapping[Reason | None, str] = MappingProxyType(
+    {
+        Reason.UNCERTAIN: UNCERTAIN_TEXT,
+        Reason.SIZE: _OTHER_THING_TEXT,
+        Reason.SHAPE: _OTHER_THING_TEXT,
+    }
+)
 _SILENCE_TIMEOUT = 2.0  # s
 
 
@@ -83,8 +88,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
             is_misfit = self._localizer.misfit > self.settings.largest_misfit
             self._result = (WARN, _MISFIT_TEXT) if is_misfit else (OK, "running")
         elif self._scans > scans_before:
-            texts = {Reason.UNCERTAIN: UNCERTAIN_TEXT} | dict.fromkeys(_OTHER_THING, _OTHER_THING_TEXT)
-            self._result = WARN, texts.get(self._reason, _LOST_TEXT)
+            self._result = WARN, _LOST_TEXTS.get(self._reason, "box not found; clear the view of the laser")
         return [Health(*self._result, values)]
 
     def _on_scan(self, message: Any) -> None:
