@@ -21,6 +21,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.conversions import machine_state
+from trackslip_estimation.soil.pressure_watch import PressureFault
 from trackslip_estimation.soil.records import SOIL_INPUT, inputs_from_estimates
 
 Summary = Callable[..., dict[str, Any]]
@@ -88,7 +89,7 @@ def test_withheld_hydraulics_are_reported_and_a_bag_without_them_has_no_soil(
     emulated_bag: Path, bag: Path, summary: Summary
 ) -> None:
     blind = summary(emulated_bag, "--withhold", "hydraulics:20:40", "--stop", "45")["soil"]
-    assert blind["rejected"]["hydraulics"]["hydraulics silent"] > 1500
+    assert blind["rejected"]["hydraulics"][PressureFault.DROPPED.value] > 1500
     assert "soil" not in summary(bag)
 
 

@@ -33,6 +33,12 @@ def test_range_jump_and_missing_return_separate_objects():
     assert spans(segment_scan(ranges, ANGLES, 0.03, GRAZING)) == [(100, 109), (110, 120), (125, 127)]
 
 
+def test_single_beam_without_return_does_not_cut_an_object():
+    ranges = scan(box=(100, 109, 8.0), post=(111, 113, 8.0))
+    ranges[103] = np.inf
+    assert spans(segment_scan(ranges, ANGLES, 0.03, GRAZING)) == [(100, 113)]
+
+
 def test_invalid_beam_inside_an_object_does_not_cut_it():
     ranges = scan(box=(100, 109, 8.0))
     ranges[104] = np.nan

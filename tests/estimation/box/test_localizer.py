@@ -15,6 +15,7 @@ from fixtures.box_site import (
     PARAMETERS,
     PERIOD,
     SITE,
+    Scored,
     assert_near,
     drive,
     error,
@@ -213,6 +214,26 @@ def test_object_of_the_background_is_not_the_box():
 def test_scan_with_all_ranges_equal_gives_no_fix(value):
     outcome = locate(BoxLocalizer(PARAMETERS, BOX), 1.0, np.full(361, value))
     assert isinstance(outcome, Reason)
+
+
+@pytest.mark.parametrize(("scale", "misfits"), [(1.0, False), (0.9, True), (1.1, True)])
+def test_box_of_another_size_than_stated_is_noticed(scale, misfits):
+    box = dataclasses.replace(BOX, length=scale * BOX.length, width=scale * BOX.width)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    drive(localizer, SiteScanner(SITE, box, 3), turning, 120)
+    assert (localizer.misfit > PARAMETERS.largest_misfit) == misfits
+
+
+def test_single_beams_without_return_neither_hide_nor_move_the_box():
+    random = np.random.default_rng(4)
+
+    def drop(_, ranges):
+        return np.where(random.random(ranges.shape) < 0.03, np.inf, ranges)
+
+    outcomes = drive(BoxLocalizer(PARAMETERS, BOX), SiteScanner(SITE, BOX, 3), turning, 80, change=drop)
+    fixes = [Scored.from_fix(fix, turning) for fix in outcomes if isinstance(fix, BoxFix)]
+    assert len(fixes) >= 76
+    assert np.mean([fix.position for fix in fixes]) < 6.0  # 16 where a single one cut the box
 
 
 def test_same_scans_same_fixes():

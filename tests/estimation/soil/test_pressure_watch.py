@@ -37,14 +37,15 @@ class Bench:
 
     def __init__(self) -> None:
         self._watch = np.zeros(1, dtype_of(PressureWatch))
-        self._rng, self._ns = np.random.default_rng(3), 0
+        self._rng, self.is_downhill = np.random.default_rng(3), False
 
     @property
     def faults(self) -> tuple[PressureFault, ...]:
         return reported_faults(self._watch[0])
 
     def _evaluate(self, sample: np.ndarray) -> PressureFault | None:
-        code = evaluate_pressures(self._watch[0], sample[0], NUMBERS[0], P.vehicle.whole().relief_pressure)
+        relief, is_downhill = P.vehicle.whole().relief_pressure, self.is_downhill
+        code = evaluate_pressures(self._watch[0], sample[0], NUMBERS[0], relief, is_downhill)
         return None if code == NO_FAULT else tuple(PressureFault)[code]
 
     def drive(
@@ -56,10 +57,9 @@ class Bench:
     def _moments(self, phase: Phase, seconds: float, corrupt: Corrupt) -> Iterator[PressureFault | None]:
         left, right, u_left, u_right, motion = phase
         for _ in range(round(seconds / STEP)):
-            self._ns += round(STEP * 1e9)
             p = corrupt(np.array((left, right)) + 3e4 * self._rng.standard_normal(2))
             sample, _ = Sample(STEP, np.array((u_left, u_right)), motion=motion).records()
-            sample["has_pressures"], sample["reading_ns"] = True, self._ns
+            sample["has_pressures"] = True
             sample["pressures"] = sample["reading"] = p
             yield self._evaluate(sample)
 
@@ -104,11 +104,55 @@ def test_a_stuck_pressure_is_named_while_moving_and_cleared_by_its_first_change(
 
     assert set(bench.drive(STANDING, 5.0, stuck)) == {None}  # readings at rest may be constant
     output = bench.drive(STRAIGHT, 2.0, stuck)
-    assert output[:5] == [None] * 5
-    assert set(output[10:]) == {fault}
+    assert set(output[:20]) == {None}
+    assert set(output[30:]) == {fault}
     assert bench.faults == (fault,)
     bench.drive(STRAIGHT, 0.1)
     assert bench.faults == ()
+
+
+def test_pressures_in_steps_of_1_bar_are_used(bench: Bench) -> None:
+    output = bench.drive(STRAIGHT, 20.0, lambda p: 1e5 * np.round(p / 1e5))
+    assert output.count(None) > 0.9 * len(output)
+    assert bench.faults == ()
+
+
+def test_pressures_that_a_gateway_repeats_are_used(bench: Bench) -> None:
+    held = iter(np.repeat(np.random.default_rng(1).normal(45e5, 3e4, (50, 2)), 20, axis=0))  # 5 Hz
+    assert set(bench.drive(STRAIGHT, 10.0, lambda p: next(held))) == {None}
+
+
+@pytest.mark.parametrize(
+    ("side", "fault"), [(0, PressureFault.LEFT_STUCK), (1, PressureFault.RIGHT_STUCK)], ids=str
+)
+def test_a_dead_transducer_that_reads_noise_about_zero_is_named_and_stays_so_in_turns(
+    bench: Bench, side: int, fault: PressureFault
+) -> None:
+    def dead(p: np.ndarray) -> np.ndarray:
+        p[side] = p[side] % 5e4 - 2.5e4
+        return p
+
+    output = bench.drive(STRAIGHT, 4.0, dead)
+    assert set(output[200:]) == {fault}
+    assert set(bench.drive(LEFT_TURN, 2.0, dead)) == {fault}
+    bench.drive(STRAIGHT, 0.1)
+    assert bench.faults == ()
+
+
+@pytest.mark.parametrize(
+    "phase", [STRAIGHT, LEFT_TURN, RIGHT_IN_REVERSE], ids=["straight", "left", "reverse"]
+)
+def test_pressures_of_the_wrong_sign_are_named_and_not_called_swapped(bench: Bench, phase: Phase) -> None:
+    assert set(bench.drive(phase, 2.0, lambda p: -p)) == {PressureFault.WRONG_SIGN}
+    assert bench.faults == (PressureFault.WRONG_SIGN,)
+    bench.drive(phase, 2.0)
+    assert bench.faults == ()
+
+
+def test_motors_that_brake_downhill_are_no_fault(bench: Bench) -> None:
+    bench.is_downhill = True
+    for pressure in (-45e5, 0.0):
+        assert set(bench.drive((pressure, pressure, 0.3, 0.3, Motion.STRAIGHT), 5.0)) == {None}
 
 
 @pytest.mark.parametrize("turn", [LEFT_TURN, RIGHT_IN_REVERSE], ids=("left", "right in reverse"))

@@ -61,7 +61,8 @@ def segment_scan(
 ) -> list[IndexArray]:
     """Beam indices of each object, counter-clockwise.
 
-    A beam without a return (+∞) separates objects; invalid beams (NaN, −∞, 0) are ignored.
+    Two beams without a return (+∞) separate objects; a single one is a dropout on a dark or wet side, and
+    ignored as invalid beams are (NaN, −∞, 0).
     """
     valid = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     if valid.size == 0:
@@ -73,7 +74,7 @@ def segment_scan(
     noise = 3.0 * math.sqrt(2.0) * range_stddev
     allowed = nearer * (valid_angles[1:] - valid_angles[:-1]) / math.sin(grazing_angle) + noise
     empty_before = np.cumsum(ranges == math.inf)[valid]
-    return split_at_gaps(valid, (steps > allowed) | (empty_before[1:] > empty_before[:-1]))
+    return split_at_gaps(valid, (steps > allowed) | (empty_before[1:] > empty_before[:-1] + 1))
 
 
 def split_at_gaps(indices: IndexArray, gaps: BoolArray) -> list[IndexArray]:

@@ -34,6 +34,8 @@ from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
 from trackslip_estimation.box.track import Expectation, LocalizerState, Track, initial_expectation
 
+_MISFIT_FIXES = 100.0  # fixes over which the misfit is averaged
+
 
 @dataclass(frozen=True)
 class BoxFix:
@@ -81,6 +83,7 @@ class BoxLocalizer:
         self._tracks: list[Track | None] = [None]  # searched in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
         self._scan_ns = 0  # stamp of its latest scan
+        self.misfit = 1.0  # mean χ² per degree of freedom of the latest fixes
         self._clock = self._new_clock()
 
     def locate(self, scan: Scan, odometry: Odometry | None = None) -> BoxFix | Reason:
@@ -161,6 +164,8 @@ class BoxLocalizer:
 
     def _accept_fix(self, scan: Scan, expected: Expectation, candidate: Candidate) -> BoxFix:
         """Update the track with a fix; return the fix of base_link in odom."""
+        best = min(candidate.fits, key=lambda fit: fit.chi2)
+        self.misfit += (best.chi2 / best.freedom - self.misfit) / _MISFIT_FIXES
         step = candidate.beams.spacing * float(candidate.beams.ranges.mean())
         update = expected.headings.update(
             self._heading_modes(expected, candidate), float(expected.pose[2]), expected.yaw_variance, step

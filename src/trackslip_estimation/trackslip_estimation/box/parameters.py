@@ -30,6 +30,10 @@ class BoxLocalizerParameters(Parameters):
     )
     fit_probability: float = parameter("χ² probability above which a fit is rejected", gt=0.5, lt=1.0)
     good_fit: float = parameter("χ² probability up to which no better fit is sought", gt=0.0, lt=1.0)
+    largest_misfit: float = parameter(
+        "mean χ² per degree of freedom of the fits, beyond which the box is not as stated",
+        gt=1.0,
+    )
     seen_through: float = parameter("largest share of its beams that end behind a box", ge=0.0, lt=1.0)
     gate_distance: float = parameter(
         "distance from the prediction allowed right after a fix", unit="m", gt=0.0

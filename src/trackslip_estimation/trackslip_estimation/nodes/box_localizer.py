@@ -4,6 +4,8 @@
 
 import sys
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,16 @@ from trackslip_estimation.slip.silence import SilenceMonitor
 UNCERTAIN_TEXT = (
     "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
 )
+_OTHER_THING_TEXT = "an object of another size or shape is in the place of the box: check sensors.box"
+_MISFIT_TEXT = "fits are worse than the noise: check length and width in sensors.box, and range_stddev"
 _NO_SCANS = "no scans: check the laser driver"
+_LOST_TEXTS: Mapping[Reason | None, str] = MappingProxyType(
+    {
+        Reason.UNCERTAIN: UNCERTAIN_TEXT,
+        Reason.SIZE: _OTHER_THING_TEXT,
+        Reason.SHAPE: _OTHER_THING_TEXT,
+    }
+)
 _SILENCE_TIMEOUT = 2.0  # s
 
 
@@ -46,7 +57,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._odometry = OdometryBuffer(self._localizer.tally)
         self._fixes = 0
         self._scans = 0
-        self._is_uncertain = False  # whether the box is ambiguous in the latest scan
+        self._reason: Reason | None = None  # why the latest scan gave no fix
         self._reported_counts = (0, 0)
         self._silence = SilenceMonitor()
         self._result = (WARN, _NO_SCANS)  # of the latest scans
@@ -68,25 +79,28 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         values["track of the run before"] = "continued" if self._localizer.resumed else "not used"
         if self._file.failure:
             values["track file"] = self._file.failure
-        if self._is_uncertain:
+        values["misfit"] = f"{self._localizer.misfit:.2f}"
+        if self._reason is Reason.UNCERTAIN:
             values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.ambiguous_positions)
         if self._silence.is_silent(time.monotonic(), _SILENCE_TIMEOUT):
             self._result = WARN, _NO_SCANS
         elif self._fixes > fixes_before:
-            self._result = OK, "running"
+            is_misfit = self._localizer.misfit > self.settings.largest_misfit
+            self._result = (WARN, _MISFIT_TEXT) if is_misfit else (OK, "running")
         elif self._scans > scans_before:
-            lost = UNCERTAIN_TEXT if self._is_uncertain else "box not found; clear the view of the laser"
-            self._result = WARN, lost
+            self._result = WARN, _LOST_TEXTS.get(self._reason, "box not found; clear the view of the laser")
         return [Health(*self._result, values)]
 
     def _on_scan(self, message: Any) -> None:
         self._scans += 1
         self._silence.add(time.monotonic())
-        ranges = np.asarray(message.ranges, dtype=np.float64)
+        ranges = np.array(message.ranges, dtype=np.float64)
+        if message.range_max > 0.0:
+            ranges[ranges >= message.range_max] = np.inf  # so some drivers mark a beam without a return
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         scan = Scan(stamp_ns_of(message), ranges, *geometry)
         fix = self._localizer.locate(scan, self._odometry.find_nearest(scan.stamp_ns))
-        self._is_uncertain = fix is Reason.UNCERTAIN
+        self._reason = fix if isinstance(fix, Reason) else None
         self._file.write(self._localizer.saved_state)
         if isinstance(fix, BoxFix):
             self._fixes += 1

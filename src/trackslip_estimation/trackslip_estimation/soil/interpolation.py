@@ -59,8 +59,7 @@ class Sample(InputValues):
     """Machine state with pressures and spools interpolated to its stamp."""
 
     has_pressures: int  # whether readings before and after the stamp exist
-    reading_ns: int  # stamp of the newer reading
-    reading: Annotated[FloatArray, 2]  # its pressures, Pa, not interpolated
+    reading: Annotated[FloatArray, 2]  # pressures of the newer reading, Pa, not interpolated
     dt: float  # s since the previous sample
     tracks: Annotated[FloatArray, 2]  # track speeds r ω, m/s; nan where the slip is 1
 
@@ -176,7 +175,6 @@ def _interpolate(
         return False
     share = since_ns / gap_ns if gap_ns > 0 else 0.0
     newer = after if share > 0.0 else before
-    sample.reading_ns = newer.stamp_ns
     for k in range(2):
         sample.reading[k] = newer.pressures[k]
         sample.pressures[k] = before.pressures[k] + share * (after.pressures[k] - before.pressures[k])

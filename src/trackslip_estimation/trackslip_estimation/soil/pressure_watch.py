@@ -1,10 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Detects implausible pressures: dropped, stuck, swapped, in another unit, beyond relief.
+"""Detects implausible pressures: dropped, stuck, swapped, of the wrong sign or unit, beyond relief.
 
 Evidence for each fault is a time: a sample for it adds its duration, a sample against it subtracts it.
-Pressures are unused from the first sample for a fault (a stuck one: after ``grace_time``). The fault is
-reported once its evidence reaches ``report_time``, and until it falls to 0.
+Pressures are unused from the first sample for a fault (a stuck one: after ``grace_time``, for gateways
+repeat readings). The fault is reported once its evidence reaches ``report_time``, and until it falls to 0.
+
+The sum of both pressures drives the machine against its resistance wherever it does not roll downhill, in
+turns too. A smaller sum has the wrong unit, or one side the wrong sign.
 """
 
 import math
@@ -34,15 +37,16 @@ class UnusedReason(Enum):
 class PressureFault(Enum):
     """Faults of the pressures, with their texts in diagnostics."""
 
-    DROPPED = "hydraulics silent"
-    LEFT_STUCK = "left pressure stuck"
-    RIGHT_STUCK = "right pressure stuck"
+    DROPPED = "hydraulics silent, or readings further apart than moments.longest_gap"
+    LEFT_STUCK = "left pressure stuck or zero"
+    RIGHT_STUCK = "right pressure stuck or zero"
     BEYOND_RELIEF = "pressure above the relief pressure"
     IN_KPA = "pressure in kPa instead of Pa"
     IN_PSI = "pressure in psi instead of Pa"
     IN_BAR = "pressure in bar instead of Pa"
     IN_MPA = "pressure in MPa instead of Pa"
     TOO_LOW = "too little pressure to drive, in any unit"
+    WRONG_SIGN = "pressures brake while the tracks drive: a wrong sign, or a slope that no IMU measures"
     SWAPPED = "left and right pressure swapped"
 
 
@@ -57,8 +61,9 @@ class PressureFault(Enum):
     _IN_BAR,
     _IN_MPA,
     _TOO_LOW,
+    _WRONG_SIGN,
     _SWAPPED,
-) = range(10)
+) = range(11)
 NO_FAULT = -1
 _RIGHT_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
@@ -70,8 +75,6 @@ class PressureWatch(Record):
 
     seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against
     is_reported: Annotated[IntArray, len(PressureFault)]
-    has_reading: int
-    reading_ns: int  # of the newest reading
     reading: Annotated[FloatArray, 2]
 
 
@@ -83,6 +86,9 @@ class WatchParameters(Parameters):
         "duration of the evidence after which a fault is reported", unit="s", gt=0.0
     )
     grace_time: float = parameter("time for which equal readings may be chance", unit="s", ge=0.0)
+    zero_share: float = parameter(
+        "ratio to the other pressure up to which a pressure counts as zero", ge=0.0, lt=0.2
+    )
     relief_margin: float = parameter("margin over the relief pressure, as share of it", ge=0.0)
     least_pressure: float = parameter("least sum of both pressures while driving", unit="Pa", gt=0.0)
     typical_pressure: float = parameter(
@@ -103,32 +109,32 @@ def reported_faults(watch: PressureWatch) -> tuple[PressureFault, ...]:
 
 @compiled
 def evaluate_pressures(
-    watch: PressureWatch, sample: Sample, p: WatchParameters, relief_pressure: float
+    watch: PressureWatch, sample: Sample, p: WatchParameters, relief_pressure: float, downhill: bool
 ) -> int:
-    """Return the index of the fault that makes the pressures of a sample unusable, or NO_FAULT."""
-    unusable, likely_unit = NO_FAULT, _likely_unit(sample, p)
+    """Return the index of the fault that makes the pressures of a sample unusable, or NO_FAULT.
+
+    ``downhill``: whether the weight pulls the machine in the direction in which it moves.
+    """
+    unusable, likely_unit = NO_FAULT, _OPEN if downhill else _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
         if fault == DROPPED:
             evidence = _AGAINST if sample.has_pressures else _FOR
         elif not sample.has_pressures:
             return DROPPED
         elif fault <= _RIGHT_STUCK:
-            evidence = _stuck_evidence(watch, fault, sample, p)
+            is_straight = sample.motion == _STRAIGHT and not downhill
+            evidence = _stuck_evidence(watch, fault, sample, p, is_straight)
         elif fault == _BEYOND_RELIEF:
             highest = max(abs(sample.pressures[0]), abs(sample.pressures[1]))
             evidence = _FOR if highest > (1.0 + p.relief_margin) * relief_pressure else _AGAINST
         elif fault == _SWAPPED:
-            evidence = _swap_evidence(sample, p)
-        elif likely_unit == _OPEN:
+            evidence = _OPEN if watch.seconds[_WRONG_SIGN] > 0.0 else _swap_evidence(sample, p)
+        elif likely_unit == _OPEN or watch.is_reported[_LEFT_STUCK] or watch.is_reported[_RIGHT_STUCK]:
             evidence = _OPEN
         else:
             evidence = _FOR if fault == likely_unit else _AGAINST
         if _accumulate_evidence(watch, fault, evidence, sample.dt, p) and unusable == NO_FAULT:
             unusable = fault
-    watch.has_reading = True
-    watch.reading_ns = sample.reading_ns
-    for k in range(2):
-        watch.reading[k] = sample.reading[k]
     return unusable
 
 
@@ -147,32 +153,43 @@ def _accumulate_evidence(
 
 
 @compiled
-def _stuck_evidence(watch: PressureWatch, fault: int, sample: Sample, p: WatchParameters) -> int:
-    """Return the evidence for a stuck transducer: equal readings, unless at standstill, where they may be."""
-    if not watch.has_reading or sample.reading_ns == watch.reading_ns:
-        return _OPEN
+def _stuck_evidence(
+    watch: PressureWatch, fault: int, sample: Sample, p: WatchParameters, is_straight: bool
+) -> int:
+    """Return the evidence for a stuck transducer: equal readings, or zero while the other side drives.
+
+    At standstill readings may be equal, and no change refutes the fault. ``is_straight``: whether the machine
+    drives straight, and not downhill; only then both sides need pressure.
+    """
     side = fault - _LEFT_STUCK
-    if sample.reading[side] != watch.reading[side]:
-        watch.seconds[fault] = 0.0  # a changed reading refutes the fault
+    reading, other = sample.reading[side], abs(sample.reading[1 - side])
+    is_equal, watch.reading[side] = reading == watch.reading[side], reading
+    if not (abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed):
         return _OPEN
-    is_moving = abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed
-    return _FOR if is_moving else _OPEN
+    if is_equal or (is_straight and abs(reading) <= p.zero_share * other):
+        return _FOR
+    if abs(reading) > 5.0 * p.zero_share * other:
+        watch.seconds[fault] = 0.0  # a changed reading refutes the fault
+    return _OPEN
 
 
 @compiled
 def _likely_unit(sample: Sample, p: WatchParameters) -> int:
-    """Return the fault of the unit in which the mean pressure is nearest to the typical one.
+    """Return the fault of sign or unit: the unit in which the mean pressure is nearest to the typical one.
 
     Driving against rolling resistance needs ``least_pressure``; a lower number is in a larger unit, or too
-    low in any. _RIGHT_UNIT: the pressure suffices; _OPEN: the machine does not drive.
+    low in any. _RIGHT_UNIT: the pressures suffice; _OPEN: the tracks do not drive in one direction.
     """
-    left, right = abs(sample.tracks[0]), abs(sample.tracks[1])
+    left, right = sample.tracks[0], sample.tracks[1]
     is_driving = sample.motion == _STRAIGHT or sample.motion == _TURNING
-    if not (is_driving and left > p.least_speed and right > p.least_speed):
+    if not (is_driving and min(abs(left), abs(right)) > p.least_speed and left * right > 0.0):
         return _OPEN
     reading = 0.5 * (abs(sample.pressures[0]) + abs(sample.pressures[1]))
+    driving = math.copysign(1.0, left) * (sample.pressures[0] + sample.pressures[1])
+    if driving >= p.least_pressure:
+        return _RIGHT_UNIT if driving >= reading else _OPEN  # one side brakes
     if 2.0 * reading >= p.least_pressure:
-        return _RIGHT_UNIT
+        return _WRONG_SIGN
     if reading <= 0.0:
         return _TOO_LOW
     best = 0

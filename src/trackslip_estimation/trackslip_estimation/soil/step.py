@@ -188,10 +188,13 @@ def _step(estimator: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
     left, right = frame_speeds(sample.twist, p.vehicle.tread)
     sample.tracks[0] = track_speed(left, sample.slips[0])
     sample.tracks[1] = track_speed(right, sample.slips[1])
-    fault = pressure_watch.evaluate_pressures(estimator.watch, sample, p.watch, p.vehicle.relief_pressure)
     is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
     set_ground_load(estimator.load, estimator.centre, sample, p)
     is_level = abs(estimator.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
+    is_downhill = not is_level and estimator.load.pull * sample.twist[0] > 0.0
+    fault = pressure_watch.evaluate_pressures(
+        estimator.watch, sample, p.watch, p.vehicle.relief_pressure, is_downhill
+    )
     is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
     if update_offsets(estimator.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
         faults[_AT_REST] += 1

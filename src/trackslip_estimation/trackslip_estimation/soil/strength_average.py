@@ -8,13 +8,12 @@ from typing import Annotated
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record
-from trackslip_estimation.covariance import is_covariance_compiled
 from trackslip_estimation.soil.ground_load import GroundLoad
 from trackslip_estimation.soil.interpolation import Sample
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustRecord
 
-_LARGEST = 1e6  # in any unit, thrusts apart: larger numbers are no measurement
+_FASTEST = 1e6  # m/s, of a track that hardly rolls: larger numbers are no measurement
 _LARGEST_THRUST = 1e9  # N
 
 
@@ -63,19 +62,9 @@ def add_sample(
 
 @compiled
 def _is_usable(sample: Sample, p: StrengthParameters) -> bool:
-    """Whether a sample is in time and finite, with a positive semidefinite covariance."""
-    if not 0.0 < sample.dt <= p.longest_gap:
-        return False
-    for k in range(2):
-        if not abs(sample.tracks[k]) < _LARGEST:
-            return False
-    C = sample.twist_covariance
-    for i in range(3):
-        if not abs(sample.twist[i]) < _LARGEST:
-            return False
-        if not C[i, i] < _LARGEST:
-            return False
-    return is_covariance_compiled(C)
+    """Whether a sample is in time, and both track speeds are known; all else is checked as an input."""
+    is_known = abs(sample.tracks[0]) < _FASTEST and abs(sample.tracks[1]) < _FASTEST
+    return bool(is_known and 0.0 < sample.dt <= p.longest_gap)
 
 
 @compiled
