@@ -212,7 +212,7 @@ BAD_MAPPINGS = {
     "parameters: slip_estimator: unknown parameter 'pose_source', did you mean 'pose_sources'?": changed(
         parameters={"pose_source": ["reference_pose"]}
     ),
-    "vehicle and parameters.vehicle; accepted: vehicle alone": changed(
+    "parameters.vehicle; accepted: vehicle beside parameters": changed(
         vehicle="warthog", parameters={"vehicle": {"tread": 1.0}}
     ),
     "vehicle 'wartog': no such vehicle or file, did you mean 'warthog'?": changed(vehicle="wartog"),
@@ -327,16 +327,3 @@ def test_the_warthog_log(tmp_path: Path) -> None:
         stamps = np.diff([stamp_ns_of(m) for m in contents(bag, "reference_pose")])
         assert stamps.min() > 0
         assert bag_vehicle(bag) == load_vehicle("warthog")
-
-
-def test_a_mapping_of_an_earlier_version_has_its_vehicle_among_the_parameters(tmp_path: Path) -> None:
-    numbers = {"rolling_radius": 0.3, "tread": 1.08, "contact_length": 0.9}
-    mapping = changed(parameters={"use_heading": False, "vehicle": numbers})
-    mapping.pop("vehicle", None)
-    import_text(tmp_path, mapping=mapping)
-    with open_bag(tmp_path / "bag") as bag:
-        vehicle = bag_vehicle(bag)
-        assert vehicle is not None
-        assert vars(vehicle.kinematics) == numbers
-        assert vehicle.mass is None
-        assert bag_parameters(bag)["sources.box_pose.use_heading"] is False

@@ -34,12 +34,11 @@ from trackslip_estimation.slip.learned import learned_context
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.state_file import CHECKSUM, StateFile, digest, state_text
 from trackslip_sim.machine.faults import parse_fault
-from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.verdict import load_limits
-from trackslip_tools.tuning.journal import Journal
+from trackslip_tools.result_cache import ResultCache
 from trackslip_tools.tuning.plan import change_parameters, read_plan
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import cost
@@ -288,18 +287,17 @@ def journal(_: Path) -> Reader:
     """Scores of an interrupted search, and their use by the search."""
     score = Score(1.5, {"box_pose": 1.0}, {"box_pose": 3}, 0.1, math.nan, 2.0, -3.0)
     empty = Path("empty.jsonl")
-    with Journal(empty, (), ("a", "b")) as written:
-        for k in range(4):
-            written.add(k % 2, (0.5 * k, 1.0), score)
+    written = ResultCache(empty, Score, "--output")
+    for k in range(4):
+        written.add(str(k), score)
     seed = empty.read_bytes()
 
     def read(path: Path) -> None:
-        with Journal(path, (), ("a", "b")) as reopened:
-            for k in range(4):
-                if (k % 2, (0.5 * k, 1.0)) in reopened:
-                    for objective in ("likelihood", "pose", "position"):
-                        cost(objective, reopened[k % 2, (0.5 * k, 1.0)])
-            reopened.add(0, (9.0, 9.0), score)
+        reopened = ResultCache(path, Score, "--output")
+        for one in reopened.values():
+            for objective in ("likelihood", "pose", "position"):
+                cost(objective, one)
+        reopened.add("another", score)
 
     return Reader([seed], read, ".jsonl")
 
@@ -309,17 +307,14 @@ def cache(_: Path) -> Reader:
     path = Path("cache.jsonl")
     examples: dict[Any, Any] = {str: "sand", int: 3, float: 0.5}
     row = Row(*(examples.get(kind, (0.1, 0.9)) for kind in get_type_hints(Row).values()))
-    study, written = SlipStudy({}, ()), Cache(path, Row)
+    study, written = SlipStudy({}, ()), ResultCache(path, Row, "--cache")
     for k in range(3):
         written.add(str(k), row)
     seed = path.read_bytes()
 
     def read(path: Path) -> None:
-        reopened = Cache(path, Row)
-        for k in range(3):
-            piece = reopened.get(str(k))
-            if piece is not None:
-                study.markdown([piece])
+        for piece in ResultCache(path, Row, "--cache").values():
+            study.markdown([piece])
 
     return Reader([seed], read, ".jsonl")
 

@@ -253,9 +253,12 @@ def test_full_disk_is_reported_and_the_bag_stays_recoverable(programs, observer)
     report = full_disk_reports()[-1]
     assert report.level == DiagnosticStatus.ERROR
     assert "/emulator/fault lost" in {pair.key for pair in report.values}
-    assert program.end()[0] == 0
+    assert program.end()[0] == 1
     assert "further messages are lost" in program.stderr
     assert program.stderr.count(" lost") == 2  # at the failure, and at the end
+    assert re.search(
+        r"cannot write \(File too large\): bag is incomplete, \d+ messages were lost$", program.stderr.strip()
+    )
     assert "Traceback" not in program.stderr
     again = programs.tool("trackslip", "recover", "bag")
     assert again.wait() == 0, again.stderr

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from fixtures.commands import json_of
 
-from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import TABLE_HEADER
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.soil import study as soil_study
@@ -21,6 +20,7 @@ from trackslip_sim.study.soil.results import ChangeRow, SoilRow
 from trackslip_sim.study.soil.score import Result
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
 from trackslip_tools.cli.main import main
+from trackslip_tools.result_cache import ResultCache
 from trackslip_tools.terminal_text import WIDTH, format_for_terminal
 
 COMMAND = ["study", "--estimator", "soil", "--soil", "sand", "dry_clay", "--sigma-xy", "0.05", "--seeds", "2"]
@@ -133,9 +133,9 @@ def test_cache_key_includes_every_setting_of_a_run(
 
 def test_both_studies_may_share_a_file(tmp_path: Path) -> None:
     file, result = tmp_path / "pieces.jsonl", Counted()(Trial("sand", 0.05, 0), load_setting())
-    Cache(file, Result).add("a key", result)
-    assert Cache(file, Row).get("a key") is None
-    assert repr(Cache(file, Result).get("a key")) == repr(result)  # nan differs from itself
+    ResultCache(file, Result, "--cache").add("a key", result)
+    assert not ResultCache(file, Row, "--cache")
+    assert repr(ResultCache(file, Result, "--cache")["a key"]) == repr(result)  # nan differs from itself
 
 
 @pytest.mark.slow

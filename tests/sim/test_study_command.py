@@ -19,7 +19,6 @@ from trackslip_estimation.slip import bank, sources
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim import truth
 from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_sim.study.cache import source_files
 from trackslip_sim.study.engine import TABLE_HEADER, Study
 from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.figures import run_figures, terrain_figure
@@ -28,6 +27,7 @@ from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli.main import main
+from trackslip_tools.result_cache import source_files
 from trackslip_tools.terminal_text import WIDTH, format_for_terminal
 
 KEYS = {

@@ -20,7 +20,6 @@ from trackslip_bags.types import typestore
 from trackslip_common.errors import ExitCode
 from trackslip_common.topics import TOPICS
 from trackslip_sim.demo.command import run_commands
-from trackslip_tools.cli.replay_options import parameters_of
 
 Summary = Callable[..., dict[str, Any]]
 
@@ -160,21 +159,6 @@ def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) 
     assert summary(bag, "--set", f"{tread}=1.46")["rmse"] == by_file["rmse"]
     back = summary(bag, "--params", wide, "--set", f"{tread}=1", "--set", f"{tread}=0.73")
     assert back["rmse"] == default["rmse"]
-
-
-@pytest.mark.parametrize("by", ["set", "params"])
-def test_names_of_an_earlier_version_are_those_of_the_sources(
-    by: str, emulated_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "old.yaml"
-    file.write_text("slip_estimator: {ros__parameters: {pose_stamp_errors: [0.02], vehicle: {tread: 0.8}}}")
-    settings = ["slip_estimator.pose_stamp_errors=[0.02]", "slip_estimator.vehicle.tread=0.8"]
-    with open_bag(emulated_bag) as bag:
-        given = ([], settings) if by == "set" else ([str(file)], [])
-        p = parameters_of(bag, *given)
-    assert p.poses()["box_pose"].stamp_error == 0.02
-    assert p.vehicle.kinematics.tread == 0.8
-    assert "names of an earlier version" in capsys.readouterr().err
 
 
 def test_a_replay_of_a_recorded_run_matches_it(

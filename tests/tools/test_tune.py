@@ -89,7 +89,7 @@ def test_ctrl_c_leaves_the_journal(
     monkeypatch.setattr(Task, "score", interrupted)
     assert tune(emulated_bag, plan, tmp_path / "out") == ExitCode.INTERRUPTED
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["journal.jsonl"]
-    assert len((tmp_path / "out" / "journal.jsonl").read_text().splitlines()) == 11
+    assert len((tmp_path / "out" / "journal.jsonl").read_text().splitlines()) == 10
 
 
 @pytest.mark.parametrize(

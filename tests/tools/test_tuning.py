@@ -21,9 +21,9 @@ from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, 
 from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
 from trackslip_tools.replay.scoring import PathErrors, path_of
 from trackslip_tools.replay.series import Path as Track
+from trackslip_tools.result_cache import ResultCache
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence
 from trackslip_tools.tuning.evidence import table as evidence_table
-from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import Plan, change_parameters
 from trackslip_tools.tuning.task import Job, Score, Task, make_task, score_of
 from trackslip_tools.tuning.tuner import Fold, ScoreJobs, Tuner, Tuning
@@ -56,10 +56,8 @@ def records(inputs: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
 
 
 def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: ScoreJobs | None = None) -> Tuning:
-    with (
-        Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal,
-        open_workers(1, shared=tasks) as map_items,
-    ):
+    journal = ResultCache(folder / "journal.jsonl", Score, "--output")
+    with open_workers(1, shared=tasks) as map_items:
         work = work or partial(map_items, score_of)
         return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
 
@@ -222,41 +220,24 @@ def test_interrupted_search_resumes_and_ends_with_the_same_values(
     with pytest.raises(KeyboardInterrupt):
         tuned(tmp_path / "cut", tasks, plan, work)
     journal = tmp_path / "cut" / "journal.jsonl"
-    assert len(journal.read_text().splitlines()) == 20
+    assert len(journal.read_text().splitlines()) == 19
     journal.write_text(journal.read_text()[:-7])  # killed while writing: this evaluation is repeated
     before, scored[:] = scored[:-1], []
     scored_until = 10**9
     again = tuned(tmp_path / "cut", tasks, plan, work)
     assert again.values == whole.values
     assert not [job for job in scored if job in before]
-    assert len((tmp_path / "whole" / "journal.jsonl").read_text().splitlines()) == 1 + len(before) + len(
-        scored
-    )
-
-
-def test_journal_with_values_of_other_types_is_refused(drive: Callable[..., Any], tmp_path: Path) -> None:
-    plan, file, tasks = plan_of(tmp_path), tmp_path / "journal.jsonl", [task_of(drive, 0)]
-    with Journal(file, tasks, plan.bounds):
-        begun = file.read_text(encoding="utf-8")
-    for line in (
-        *('{"bag": "0", "values": [0.5], "score": 1}', '{"bag": 0, "values": [[0.5]], "score": 1}', "{}"),
-        '{"bag": 0, "values": [0.5], "score": {"log_likelihood": "high"}}',
-    ):
-        file.write_text(f"{begun}\n{line}", encoding="utf-8")
-        with pytest.raises(InputError, match="is no journal of tune"):
-            Journal(file, tasks, plan.bounds)
+    assert len((tmp_path / "whole" / "journal.jsonl").read_text().splitlines()) == len(before) + len(scored)
 
 
 @pytest.mark.slow
-def test_a_journal_of_other_bags_is_refused(drive: Callable[..., Any], tmp_path: Path) -> None:
-    plan, file = plan_of(tmp_path), tmp_path / "journal.jsonl"
-    with Journal(file, [task_of(drive, 0)], plan.bounds):
-        pass
-    for tasks, names in (([task_of(drive, 1)], plan.bounds), ([task_of(drive, 0)], {"kappa": 0})):
-        with pytest.raises(InputError, match="is of other bags or parameters"):
-            Journal(file, tasks, names)
-    file.write_text("{}")
-    with pytest.raises(InputError, match="other bags"):
-        Journal(file, [task_of(drive, 0)], plan.bounds)
+def test_scores_of_other_bags_are_not_used(drive: Callable[..., Any], tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, FLOORS.replace("evaluations: 40", "evaluations: 20"))
+    tuned(tmp_path, [task_of(drive, 0)], plan)
+    alone = tuned(tmp_path / "alone", [task_of(drive, 1)], plan)
+    assert tuned(tmp_path, [task_of(drive, 1)], plan).values == alone.values
+
+
+def test_folder_as_a_journal_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be used"):
-        Journal(tmp_path, [task_of(drive, 0)], plan.bounds)
+        ResultCache(tmp_path, Score, "--output")

@@ -8,7 +8,6 @@ A bag therefore replays with the vehicle of the recording, without the original 
 from collections.abc import Mapping
 from typing import Any
 
-from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
@@ -30,7 +29,7 @@ def bag_parameters(bag: Bag) -> dict[str, Any]:
     Raises:
         InputError: the topic has no parameter file.
     """
-    return current_names(stated_parameters(bag, _NODE))
+    return stated_parameters(bag, _NODE)
 
 
 def bag_vehicle(bag: Bag) -> VehicleParameters | None:
@@ -52,7 +51,7 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
 
 
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
-    """Dotted name → value of the parameters at the start of a bag, under the recorded names.
+    """Dotted name → value of a node's parameters at the start of a bag.
 
     The mounting of an IMU may come later, from /tf_static; the estimator does not use the IMU before.
     """
@@ -93,7 +92,7 @@ def read_parameters(bag: Bag, content: Any) -> dict[str, Any]:
     Raises:
         InputError: it is not a parameter file.
     """
-    return current_names(flatten(_read(bag, content, _NODE)["ros__parameters"]))
+    return flatten(_read(bag, content, _NODE)["ros__parameters"])
 
 
 def read_learned(bag: Bag, content: Any) -> Any:

@@ -148,12 +148,13 @@ class Recording:
         self._try_on_disk(self._saving.result)
         self._try_on_disk(self.bag.close)
         self._disk.shutdown()
+        lost = f"{self.losses.total.total()} messages were lost" if self.losses.total else ""
         if self.disk_error:
-            self._log.error(f"{self.disk_error}: {self.bag.path} is incomplete")
-        else:
-            self._log.info(f"{sum(self.bag.counts.values())} messages in {self.bag.path}")
-        if self.losses.total:
-            self._log.error(f"{self.losses.total.total()} messages were lost")
+            self._log.error(f"{self.disk_error}: {self.bag.path} is incomplete{lost and f', {lost}'}")
+            return
+        self._log.info(f"{sum(self.bag.counts.values())} messages in {self.bag.path}")
+        if lost:
+            self._log.error(lost)
 
     def _keep_to_budget(self) -> None:
         """Remove the oldest files of recordings beside the bag while they exceed ``max_disk``."""

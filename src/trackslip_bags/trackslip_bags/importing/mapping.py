@@ -24,7 +24,6 @@ from trackslip_bags.importing.columns import FIRST
 from trackslip_bags.importing.mapping_topics import FROM, BagTopic, CsvTopic, Geometry, read_topic
 from trackslip_bags.importing.recorded_devices import CanSection, GnssSection, read_can, read_gnss
 from trackslip_bags.importing.roles import ROLE_OF_TOPIC
-from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
@@ -67,12 +66,10 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     if not sections and not tree.keys() & set(_DEVICE_KEYS):
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
-    if "vehicle" in tree and "vehicle" in parameters:
-        raise InputError(f"{where}: vehicle and parameters.vehicle; accepted: vehicle alone")
-    stated = tree.get("vehicle", _vehicle_in_parameters(parameters))
-    parameters = {name: value for name, value in parameters.items() if name != "vehicle"}
-    if vehicle is None and stated is not None:
-        vehicle = _vehicle(path, stated)
+    if "vehicle" in parameters:
+        raise InputError(f"{where}: parameters.vehicle; accepted: vehicle beside parameters")
+    if vehicle is None and "vehicle" in tree:
+        vehicle = _vehicle(path, tree["vehicle"])
     _check_parameters(path, parameters, vehicle)
     kinematics = None if vehicle is None else vehicle.kinematics
     geometry = None if kinematics is None else Geometry(kinematics.rolling_radius, kinematics.tread)
@@ -108,21 +105,12 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
 
 
 def _check_parameters(path: Path, parameters: Mapping[str, Any], vehicle: VehicleParameters | None) -> None:
-    """Accept parameters of the slip estimator only, by current names or by old ones that are still read."""
+    """Accept parameters of the slip estimator only."""
     machine = {} if vehicle is None else vehicle_layer(vehicle)
     try:
-        load_slip_parameters(machine, current_names(flatten(parameters)))
+        load_slip_parameters(machine, flatten(parameters))
     except InputError as error:
         raise InputError(f"{path}: parameters: {error}") from error
-
-
-def _vehicle_in_parameters(parameters: Mapping[str, Any]) -> Any:
-    """The vehicle among the parameters, as in mappings of earlier versions, with current names; or None."""
-    stated = parameters.get("vehicle")
-    if not isinstance(stated, Mapping):
-        return stated
-    numbers = current_names({f"vehicle.{name}": value for name, value in stated.items()})
-    return {name.removeprefix("vehicle."): value for name, value in numbers.items()}
 
 
 def _datum(where: str, value: Any) -> Datum | None:

@@ -55,6 +55,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self.drop_subscriptions()
         if self._recording is not None:
             self._recording.close()
+            self.has_failed |= bool(self._recording.disk_error)
         self._recording = None
 
     def drain(self, spin_once: Callable[[], None]) -> None:

@@ -41,6 +41,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
 
     realtime_priority = 0  # default of the parameter
     parameters_topic = ""  # topic for the parameters in use; empty: none
+    has_failed = False  # whether its work is incomplete; its process then ends with ExitCode.FAILED
 
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
         super().__init__(name)

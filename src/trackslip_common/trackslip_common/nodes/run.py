@@ -109,6 +109,8 @@ def run(
             node.end()
             node.destroy_node()
         rclpy.try_shutdown()
+    if node is not None and node.has_failed:
+        return ExitCode.FAILED
     return interrupt_code if signal.SIGINT in signals.received else ExitCode.DONE
 
 

@@ -16,6 +16,7 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_drivers.conversions import blank_imu
 from trackslip_estimation.slip.conversions import blank_odometry
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.mounting import quaternion_from_half_angles
 from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_sim.machine.emulation import FORCES_NS, SITE_FRAME, TRUTH_NS
 from trackslip_sim.machine.message_columns import Columns
@@ -85,16 +86,13 @@ def _rates(truth: Truth, field: str) -> Columns:
 
 def _orientation(truth: Truth, field: str) -> Columns:
     """The quaternion of Rz(yaw) Ry(pitch) Rx(roll)."""
-    (c_r, s_r), (c_p, s_p), (c_y, s_y) = (
-        (_of_half_angles(math.cos, angle), _of_half_angles(math.sin, angle))
-        for angle in (truth.roll, truth.pitch, truth.yaw)
+    quaternion = quaternion_from_half_angles(
+        [
+            (_of_half_angles(math.sin, angles), _of_half_angles(math.cos, angles))
+            for angles in (truth.roll, truth.pitch, truth.yaw)
+        ]
     )
-    return {
-        f"{field}.x": s_r * c_p * c_y - c_r * s_p * s_y,
-        f"{field}.y": c_r * s_p * c_y + s_r * c_p * s_y,
-        f"{field}.z": c_r * c_p * s_y - s_r * s_p * c_y,
-        f"{field}.w": c_r * c_p * c_y + s_r * s_p * s_y,
-    }
+    return {f"{field}.{axis}": column for axis, column in zip("xyzw", quaternion, strict=True)}
 
 
 def _of_half_angles(function: Callable[[float], float], angles: FloatArray) -> FloatArray:

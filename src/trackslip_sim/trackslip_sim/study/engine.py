@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from trackslip_common.atomic_files import write_atomically
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_sim.study.cache import Cache, key_of
+from trackslip_tools.result_cache import ResultCache, key_of
 from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.workers import Map, open_workers
 
@@ -104,15 +104,13 @@ class Study(ABC, Generic[Piece, Result]):
         """
         pieces = [piece for cell_pieces in self.cells.values() for piece in cell_pieces]
         keys = [self._key(piece) for piece in pieces]
-        cache: Cache[Result] = Cache(path, self.RESULT, fresh)
-        missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if cache.get(key) is None}
+        cache: ResultCache[Result] = ResultCache(path, self.RESULT, "--cache", fresh=fresh)
+        missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if key not in cache}
         with closing(self.compute(list(missing.values()), workers)) as computed:
             for key in dict.fromkeys(keys):
-                result = cache.get(key)
-                if result is None:
-                    result = next(computed)
-                    cache.add(key, result)
-                yield result
+                if key not in cache:
+                    cache.add(key, next(computed))
+                yield cache[key]
 
     def rows(self, results: Sequence[Result]) -> list[Any]:
         """One row per cell."""

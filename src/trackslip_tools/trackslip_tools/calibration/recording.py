@@ -3,7 +3,7 @@
 """A bag as arrays for calibration, by stamp, in seconds from the bag's first message."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_bags.input_filters import relative_name
-from trackslip_bags.reader import Bag, require_topics
-from trackslip_bags.tables import TopicTable, read_tables
+from trackslip_bags.reader import Bag
 from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
@@ -42,7 +41,7 @@ from trackslip_estimation.slip.motion import (
     update_motion,
 )
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource
-from trackslip_tools.replay.inputs import SPROCKETS
+from trackslip_tools.replay.inputs import SPROCKETS, Batch
 
 HYDRAULICS = "hydraulics"
 
@@ -119,43 +118,69 @@ class Recording:
         return np.asarray(self.sprockets.values[:, 1] - self.sprockets.values[:, 0])
 
 
-def read_recording(
-    bag: Bag,
-    gyro: str,
-    poses: str,
-    limits: MotionParameters,
-    compass: tuple[str, HeadingSource] | None = None,
-    advance: Callable[[float], None] = lambda _: None,
-) -> Recording:
-    """Read sprockets, gyro, pose source (topics by name) and hydraulics of a bag.
+class RecordingReader:
+    """Collects sprockets, gyro, poses (topics by name, '' for none) and hydraulics from the inputs of a bag.
 
-    ``compass``: a heading source and its parameters; ``advance`` gets the seconds read.
+    ``compass``: a heading source and its parameters.
 
     Raises:
-        InputError: the bag lacks the sprockets, or a topic has an unsupported type.
+        InputError: a topic has an unsupported type.
     """
-    require_topics(bag, [SPROCKETS])
-    pressures_and_spools = _columns("left_pressure", "right_pressure", "left_spool", "right_spool")
-    pose_limits = (_MAX_COORDINATE, _MAX_COORDINATE, _MAX_COORDINATE, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
-    requests = (
-        _Request(SPROCKETS, SprocketFields, _sprockets, (_MAX_SPROCKET_SPEED,) * 2),
-        _Request(gyro, ImuFields, _columns("rate_x", "rate_y", "rate_z"), (_MAX_GYRO_RATE,) * 3),
-        _Request(poses, PoseFields, _poses, pose_limits),
-        _Request(HYDRAULICS, HydraulicsFields, pressures_and_spools, (_MAX_PRESSURE,) * 2),
-        _compass_request(bag, *compass) if compass else _Request("", PoseFields, _poses, pose_limits),
-    )
-    (sprockets, rates, pose_series, hydraulics, headings), left_out = _read_series(bag, advance, requests)
-    sprockets = _sprocket_angles(sprockets)
-    pose_series.values[:, 2] = np.unwrap(pose_series.values[:, 2])
-    headings.values[:, 0] = np.unwrap(headings.values[:, 0])
-    compass_series = headings if len(headings.t) else None
-    motion = motion_states(sprockets, limits)
-    return Recording(sprockets, rates, pose_series, hydraulics, motion, compass_series, left_out)
+
+    def __init__(self, bag: Bag, gyro: str, poses: str, compass: tuple[str, HeadingSource] | None) -> None:
+        types = {relative_name(topic): info.type_name for topic, info in bag.topics.items()}
+        pressures_and_spools = _columns("left_pressure", "right_pressure", "left_spool", "right_spool")
+        pose_limits = (*(_MAX_COORDINATE,) * 3, *(_LARGEST_VARIANCE,) * 2)
+        self._requests = (
+            _Request(SPROCKETS, SprocketFields, _sprockets, (_MAX_SPROCKET_SPEED,) * 2),
+            _Request(gyro, ImuFields, _columns("rate_x", "rate_y", "rate_z"), (_MAX_GYRO_RATE,) * 3),
+            _Request(poses, PoseFields, _poses, pose_limits),
+            _Request(HYDRAULICS, HydraulicsFields, pressures_and_spools, (_MAX_PRESSURE,) * 2),
+            _compass_request(types, *compass) if compass else _Request("", PoseFields, _poses, pose_limits),
+        )
+        self.topics = {request.topic for request in self._requests if request.topic in types}
+        self._start_ns, self._counts = bag.start_ns, Counter[str]()
+        self._parts: list[list[_Readings]] = []
+        for request in self._requests:
+            accepted = _ACCEPTED_TYPES[request.kind]
+            type_name = types.get(request.topic)
+            if type_name is not None and RECORDS.get(type_name) not in accepted:
+                names = " or ".join(name for name, kind in RECORDS.items() if kind in accepted)
+                raise InputError(f"bag '{bag.path}': {request.topic} is a {type_name}; accepted: {names}")
+            self._parts.append([request.valid_readings(np.empty(0, dtype_of(request.kind)))])
+
+    def add(self, batch: Batch) -> None:
+        """Add the tables of a batch."""
+        for request, part in zip(self._requests, self._parts, strict=True):
+            if request.topic in batch.tables:
+                table = batch.tables[request.topic].table
+                part.append(request.valid_readings(table.rows(request.kind)))
+                self._counts[request.topic] += len(table) - len(part[-1][0])
+
+    def recording(self, limits: MotionParameters) -> Recording:
+        """The recording of all batches: by stamp, the first reading of each stamp.
+
+        Readings are invalid outside their limits, and far from the median stamp of the sprockets (another
+        clock).
+        """
+        series, median_ns = [], None
+        for request, part in zip(self._requests, self._parts, strict=True):
+            stamps_ns, values = (np.concatenate(columns) for columns in zip(*part, strict=True))
+            if median_ns is None and len(stamps_ns):
+                median_ns = int(np.median(stamps_ns))
+            is_near = np.abs((stamps_ns - (median_ns or 0)).astype(np.float64)) <= _MAX_CLOCK_DIFFERENCE_NS
+            self._counts[request.topic] += int((~is_near).sum())
+            series.append(_sorted_series(stamps_ns[is_near], values[is_near], self._start_ns))
+        sprockets, rates, poses, hydraulics, headings = _sprocket_angles(series[0]), *series[1:]
+        poses.values[:, 2] = np.unwrap(poses.values[:, 2])
+        headings.values[:, 0] = np.unwrap(headings.values[:, 0])
+        motion, compass = motion_states(sprockets, limits), headings if len(headings.t) else None
+        left_out = {topic: count for topic, count in self._counts.items() if count}
+        return Recording(sprockets, rates, poses, hydraulics, motion, compass, left_out)
 
 
-def _compass_request(bag: Bag, topic: str, source: HeadingSource) -> _Request:
+def _compass_request(types: Mapping[str, str], topic: str, source: HeadingSource) -> _Request:
     """Request of (n, 2) heading and its variance, for the message type in the bag."""
-    types = {relative_name(name): info.type_name for name, info in bag.topics.items()}
     is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
 
     def values(rows: Rows) -> FloatArray:
@@ -195,46 +220,6 @@ def _fill_motion_states(
         speeds[0].right = (angles[k, 1] - angles[k - 1, 1]) / dt
         update_motion(motion[0], speeds[0], dt, limits[0])
         states[k] = motion[0].motion
-
-
-def _read_series(
-    bag: Bag, advance: Callable[[float], None], requests: Sequence[_Request]
-) -> tuple[list[Series], dict[str, int]]:
-    """Topics by stamp, the first reading of each stamp; and topic → number of invalid readings.
-
-    Readings are invalid outside their limits, and far from the median stamp of the first topic (another
-    clock).
-    """
-    parts = [[request.valid_readings(np.empty(0, dtype_of(request.kind)))] for request in requests]
-    counts: Counter[str] = Counter()
-    reached_ns = bag.start_ns
-    for stretch in read_tables(bag, [request.topic for request in requests if request.topic]):
-        newest_ns = max((int(table.log_times_ns.max()) for table in stretch.values()), default=reached_ns)
-        advance(max(newest_ns - reached_ns, 0) * 1e-9)
-        reached_ns = max(newest_ns, reached_ns)
-        tables = {relative_name(name): table for name, table in stretch.items()}
-        for request, part in zip(requests, parts, strict=True):
-            if request.topic in tables:
-                part.append(request.valid_readings(_topic_rows(bag, request, tables[request.topic])))
-                counts[request.topic] += len(tables[request.topic]) - len(part[-1][0])
-    series, median_ns = [], None
-    for request in requests:
-        stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts.pop(0), strict=True))
-        if median_ns is None and len(stamps_ns):
-            median_ns = int(np.median(stamps_ns))
-        is_near = np.abs((stamps_ns - (median_ns or 0)).astype(np.float64)) <= _MAX_CLOCK_DIFFERENCE_NS
-        counts[request.topic] += int((~is_near).sum())
-        series.append(_sorted_series(stamps_ns[is_near], values[is_near], bag.start_ns))
-    return series, {topic: count for topic, count in counts.items() if count}
-
-
-def _topic_rows(bag: Bag, request: _Request, table: TopicTable) -> Rows:
-    if RECORDS.get(table.type_name) not in _ACCEPTED_TYPES[request.kind]:
-        accepted = " or ".join(
-            name for name, kind in RECORDS.items() if kind in _ACCEPTED_TYPES[request.kind]
-        )
-        raise InputError(f"bag '{bag.path}': {request.topic} is a {table.type_name}; accepted: {accepted}")
-    return table.rows(request.kind)
 
 
 def _sorted_series(stamps_ns: IntArray, values: FloatArray, start_ns: int) -> Series:

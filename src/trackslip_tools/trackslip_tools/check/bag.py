@@ -3,7 +3,7 @@
 """The setup check of a bag, in its own pass or during a replay, and its result as text."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from trackslip_bags.input_filters import InputFilters
@@ -13,7 +13,7 @@ from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion, Result, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Rejection
-from trackslip_tools.replay.inputs import InputStream
+from trackslip_tools.replay.inputs import Batch, InputStream
 from trackslip_tools.terminal_text import table, wrap_line
 
 NO_SPROCKETS = OpenQuestion(
@@ -30,16 +30,21 @@ def check_bag(
     p: SlipEstimatorParameters,
     filters: InputFilters | None = None,
     advance: Callable[[float], None] = lambda _: None,
+    tables: Collection[str] = (),
+    watch: Callable[[Batch], None] = lambda _: None,
 ) -> Result:
     """Check a bag: causes and undecided questions; ``advance`` gets the seconds read.
+
+    ``watch`` gets each batch of the bag, with the ``tables`` of further topics.
 
     Raises:
         InputError: the bag lacks the sprockets, or is damaged.
     """
-    stream, collector = InputStream(bag, p, filters or InputFilters()), Collector(p)
+    stream, collector = InputStream(bag, p, filters or InputFilters(), tables), Collector(p)
     reached = 0.0
     for batch in stream:
         collector.add(batch.rows, stream.sources)
+        watch(batch)
         advance(max(stream.duration_s - reached, 0.0))
         reached = max(reached, stream.duration_s)
     return check_collected(collector, stream)

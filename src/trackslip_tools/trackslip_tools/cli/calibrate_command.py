@@ -12,7 +12,7 @@ from trackslip_common.errors import ExitCode, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import FILE_PREFIX, summary, text, write_parameters
-from trackslip_tools.calibration.recording import read_recording
+from trackslip_tools.calibration.recording import RecordingReader
 from trackslip_tools.check.bag import check_bag, setup_summary
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.outputs import refuse_foreign_file, require_writable, write_json
@@ -58,8 +58,9 @@ def run(args: argparse.Namespace) -> int:
                 replay_options.note_damage(bag)
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
                 advance_bag = scale_progress(advance, bag.duration_s)
-                recordings.append(read_recording(bag, gyro, poses, p.motion, compass, advance_bag))
-                setups.append(check_bag(bag, p))
+                reader = RecordingReader(bag, gyro, poses, compass)
+                setups.append(check_bag(bag, p, None, advance_bag, reader.topics, reader.add))
+                recordings.append(reader.recording(p.motion))
             for topic, count in recordings[-1].left_out.items():
                 why = "values out of range, or stamps of another clock"
                 show(f"note: {path}: {count} messages of {topic} are left out: {why}", file=sys.stderr)

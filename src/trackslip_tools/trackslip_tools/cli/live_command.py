@@ -97,19 +97,14 @@ def bag_with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag
         return
-    from trackslip_tools.replay.output import EstimateWriter
-    from trackslip_tools.replay.parts import combine_watches
-    from trackslip_tools.replay.run import replay
+    from trackslip_tools.replay.output import replay_to_bag
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
     p = replay_options.parameters_of(bag, vehicle=vehicle)
     soil_p = replay_options.soil_parameters_of(bag, p)
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
-        with EstimateWriter(path, p) as writer, progress_bar(bag.duration_s, "replaying") as advance:
-            watch = combine_watches(replay_progress(bag, advance), writer.add)
-            result = replay(bag, p, InputFilters(), None, soil_p, watch)
-            if result.soil is not None:
-                writer.add_soil(result.soil)
+        with progress_bar(bag.duration_s, "replaying") as advance:
+            replay_to_bag(path, bag, p, InputFilters(), None, soil_p, replay_progress(bag, advance))
         with open_bag(path) as estimates:
             yield Bag(bag.path, [*bag.sources, *estimates.sources], bag.damage)

@@ -4,8 +4,6 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import Bag, open_bag
@@ -16,10 +14,9 @@ from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import progress_bar, replay_progress
 from trackslip_tools.fleet.entry import Entry, entry_of
-from trackslip_tools.replay.output import EstimateWriter, summary, text
-from trackslip_tools.replay.parts import Watch, combine_watches
+from trackslip_tools.replay.output import replay_to_bag, summary, text
+from trackslip_tools.replay.parts import Watch
 from trackslip_tools.replay.result import Replay
-from trackslip_tools.replay.run import learned_before_bag, replay
 
 EXAMPLE = (
     "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.sources.box_pose.timeout=3"
@@ -55,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
         with progress_bar(bag.duration_s, "replaying") as advance:
-            result = _replay_bag(bag, args, [replay_progress(bag, advance)])
+            result = _replay_bag(bag, args, replay_progress(bag, advance))
     show(text(result, waiting_time_s()))
     if args.output is not None:
         show(f"estimates: {args.output}")
@@ -77,18 +74,12 @@ def _next_command(args: argparse.Namespace, *, has_failed: bool) -> str:
     return f"next: trackslip {shlex.join(words)}"
 
 
-def _replay_bag(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
+def _replay_bag(bag: Bag, args: argparse.Namespace, *watches: Watch) -> Replay:
     """Replay with the options, and write ``--output`` if given."""
     replay_options.note_damage(bag)
     p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args))
     soil_p = replay_options.soil_parameters_of(bag, p, args.params, args.set)
-    learned, _ = learned_before_bag(bag, p)
-    with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
-        watch = combine_watches(*watches, *([writer.add] if writer else []))
-        result = replay(bag, p, filters, reference, soil_p, watch)
-        if writer and result.soil is not None:
-            writer.add_soil(result.soil)
-    return result
+    return replay_to_bag(args.output, bag, p, filters, reference, soil_p, *watches)
 
 
 def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
@@ -96,6 +87,6 @@ def _bag_entry(args: argparse.Namespace, path: Path) -> Entry:
 
     def replay_bag() -> tuple[Replay, str]:
         with open_bag(path, args.namespace) as bag:
-            return _replay_bag(bag, args, []), ""
+            return _replay_bag(bag, args), ""
 
     return entry_of(path, replay_bag, force=args.force)

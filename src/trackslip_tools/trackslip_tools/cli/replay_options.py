@@ -11,7 +11,6 @@ from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative_name
 from trackslip_bags.namespace import machine_namespaces
-from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
@@ -183,32 +182,16 @@ def _parameter_layers(
     """Parameters of a node from the bag, from each file, and from ``--set``, in this order."""
     bag_layer = _bag_parameters(bag, node)
     file_layers = [_file_parameters(name, node, bag_layer) for name in files]
-    return [bag_layer, *file_layers, _current_parameters(parse_settings(settings, node), bag_layer, "--set")]
-
-
-def _current_parameters(
-    parameters: Mapping[str, Any], bag_layer: Mapping[str, Any], where: str
-) -> dict[str, Any]:
-    """Parameters under their current names; lists of sources in older formats refer to the bag's sources."""
-    sources = {kind: bag_layer[kind] for kind in SOURCE_LISTS if kind in bag_layer}
-    renamed = current_names({**sources, **parameters})
-    values = {name: value for name, value in renamed.items() if name in parameters or name not in sources}
-    if values.keys() != parameters.keys():
-        show(f"note: {where}: names of an earlier version are read as the current ones", file=sys.stderr)
-    return values
+    return [bag_layer, *file_layers, parse_settings(settings, node)]
 
 
 def _bag_parameters(bag: Bag, node: str) -> Mapping[str, Any]:
-    """The bag's parameters that this version has, under their current names."""
+    """The bag's parameters that this version has."""
     recorded, where = stated_parameters(bag, node), f"bag '{bag.path}'"
-    current = current_names(recorded)
-    known = _known_parameters(node, current, where)
-    notes = [f"'{name}' is not one of this version" for name in sorted(current.keys() - known)]
-    if node == NODE and current.keys() != recorded.keys():
-        notes.append("names of an earlier version are read as the current ones")
-    for note in notes:
-        show(f"note: parameters of {where}: {note}", file=sys.stderr)
-    return {name: value for name, value in current.items() if name in known}
+    known = _known_parameters(node, recorded, where)
+    for name in sorted(recorded.keys() - known):
+        show(f"note: parameters of {where}: '{name}' is not one of this version", file=sys.stderr)
+    return {name: value for name, value in recorded.items() if name in known}
 
 
 def _file_parameters(name: str, node: str, bag_layer: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -219,9 +202,9 @@ def _file_parameters(name: str, node: str, bag_layer: Mapping[str, Any]) -> Mapp
     if not any(by_node.values()):
         accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
         raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
-    values = _current_parameters(by_node[node], bag_layer, str(path))
+    values = by_node[node]
     known = _known_parameters(node, {**bag_layer, **values}, str(path))
-    others = current_names(node_parameters(tree, "", str(path))).keys() - known
+    others = node_parameters(tree, "", str(path)).keys() - known
     for other in sorted(others) if node == NODE else ():
         if other not in {n for n, _, _ in flat_fields(_PARAMETER_CLASSES[SOIL_NODE])}:
             note = f"'{other}', given to many nodes, is none of {NODE}{did_you_mean(other, known)}"

@@ -17,6 +17,7 @@ from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import refuse_foreign_file, write_json
 from trackslip_tools.cli.progress import iterate_with_bar, progress_bar
 from trackslip_tools.fleet.find import find_bags
+from trackslip_tools.result_cache import ResultCache
 from trackslip_tools.terminal_text import format_for_terminal
 from trackslip_tools.tuning.evidence import (
     FILE_PREFIXES,
@@ -27,9 +28,8 @@ from trackslip_tools.tuning.evidence import (
     table,
     write_evidence,
 )
-from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import LIKELIHOOD, read_plan
-from trackslip_tools.tuning.task import Task, read_task, score_of
+from trackslip_tools.tuning.task import Score, Task, read_task, score_of
 from trackslip_tools.tuning.tuner import Tuner
 
 EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.yaml --output out/tuned"
@@ -67,9 +67,10 @@ def run(args: argparse.Namespace) -> int:
     sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
         map_items = stack.enter_context(worker_options.requested_workers(args, shared=tasks))
-        journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
-        if len(journal):
-            show(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
+        journal = ResultCache(args.output / JOURNAL, Score, "--output")
+        if journal:
+            note = f"{args.output / JOURNAL} holds {len(journal)} scores; going on"
+            show(f"note: {note} with those of these bags and parameters", file=sys.stderr)
         advance = stack.enter_context(progress_bar(sets, "tuning"))
         tuner = Tuner(plan, tasks, partial(map_items, score_of), journal, advance)
         tuning = tuner.run(cross_validate)

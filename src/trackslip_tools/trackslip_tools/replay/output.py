@@ -3,12 +3,14 @@
 """Outputs of a replay: a bag of the estimates, a text summary, and a JSON summary."""
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
-from trackslip_bags.reader import absolute_name
+from trackslip_bags.reader import Bag, absolute_name
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
@@ -30,11 +32,13 @@ from trackslip_estimation.slip.learned_text import quantity_lines, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.check.bag import setup_summary
 from trackslip_tools.replay.comparison import compared_parts, partial_comparison_lines
 from trackslip_tools.replay.inputs import REPORTS
-from trackslip_tools.replay.parts import EstimatorStart, Part
+from trackslip_tools.replay.parts import EstimatorStart, Part, Watch, combine_watches
 from trackslip_tools.replay.result import Replay
+from trackslip_tools.replay.run import learned_before_bag, replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import rejection_lines, soil_lines, soil_messages, soil_summary
 from trackslip_tools.replay.stuck_tracks import stuck_track_lines
@@ -113,6 +117,29 @@ class EstimateWriter(StampedWriter):
         """Prepare for another run of the estimator."""
         self._p, self._start = start.parameters, _learned_section(start.parameters, start.learned)
         self._sequence, self._local, self._begun = 0, LocalOdometry(), False
+
+
+def replay_to_bag(
+    path: Path | None,
+    bag: Bag,
+    p: SlipEstimatorParameters,
+    filters: InputFilters,
+    reference: str | None,
+    soil_p: SoilEstimatorParameters | None,
+    *watches: Watch,
+) -> Replay:
+    """Replay a bag and write the estimates to a new bag at ``path``; without a path only replay.
+
+    Raises:
+        InputError: as ``replay``, or the path exists already.
+    """
+    learned, _ = learned_before_bag(bag, p)
+    with EstimateWriter(path, p, learned) if path else nullcontext() as writer:
+        watch = combine_watches(*watches, *([writer.add] if writer else []))
+        result = replay(bag, p, filters, reference, soil_p, watch)
+        if writer and result.soil is not None:
+            writer.add_soil(result.soil)
+    return result
 
 
 def _learned_section(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:

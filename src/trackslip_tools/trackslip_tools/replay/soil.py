@@ -32,7 +32,7 @@ from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import LoggedMessages
 from trackslip_tools.replay.series import Series, SeriesCollector
 
-SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # read by a replay
+SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # read by a replay; truths only counted
 _END_NS = int(np.iinfo(np.int64).max)
 _TOLERANCE = 1e-9  # relative difference allowed between a live and a replayed number
 
@@ -64,8 +64,6 @@ class SoilReplay:
     states: list[SoilState] = field(default_factory=list)
     seeds: list[SlipSeed] = field(default_factory=list)
     rejected: Tally = field(default_factory=Tally)
-    series: dict[str, Series] = field(default_factory=dict)  # topic → live and true values of the bag
-    live_classes: dict[int, FloatArray] = field(default_factory=dict)  # stamp → live probabilities
     live: SoilComparison | None = None
 
     @property
@@ -84,7 +82,7 @@ class SoilRun:
         self._forces = GrowingRows(FORCES_RECORD)
         self._states: list[SoilState] = []
         self._seeds: list[SlipSeed] = []
-        self._series, self._classes = SeriesCollector(), dict[int, FloatArray]()
+        self._live, self._live_classes = SeriesCollector(), dict[int, FloatArray]()
 
     def add(self, estimates: Rows, logged_ns: IntArray, tables: dict[str, LoggedMessages]) -> None:
         """Add (n,) ESTIMATE, the log times of their sprocket samples, and tables of the bag.
@@ -94,10 +92,10 @@ class SoilRun:
         for topic, logged in tables.items():
             if topic == HYDRAULICS:
                 self._queue_readings(logged)
-            elif topic in SOIL_TOPICS:
-                self._series.add(topic, logged.rows)
+            elif topic in (FORCES, SOIL):
+                self._live.add(topic, logged.rows)
             if topic == SOIL:
-                self._classes |= _class_probabilities(logged.table)
+                self._live_classes |= _class_probabilities(logged.table)
         if len(estimates):
             self._advance(estimates, logged_ns)
 
@@ -110,12 +108,12 @@ class SoilRun:
             self._states,
             self._seeds,
             self._estimator.tally,
-            self._series.series(),
-            self._classes,
         )
         can_compare, until_ns = comparability.comparable_start()
-        if self._compares and result.series.keys() & {FORCES, SOIL} and can_compare:
-            result.live = _compare_with_live(result, _END_NS if until_ns is None else until_ns)
+        live = self._live.series()
+        if self._compares and live and can_compare:
+            last_ns = _END_NS if until_ns is None else until_ns
+            result.live = _compare_with_live(result, live, self._live_classes, last_ns)
         return result
 
     def _queue_readings(self, logged: LoggedMessages) -> None:
@@ -156,17 +154,20 @@ def _class_probabilities(table: TopicTable) -> dict[int, FloatArray]:
     return {t: np.asarray(m.class_probabilities) for t, m in zip(stamps_ns, messages, strict=True)}
 
 
-def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
+def _compare_with_live(
+    result: SoilReplay, live: dict[str, Series], live_classes: dict[int, FloatArray], until_ns: int
+) -> SoilComparison:
     """Compare every live number with the replayed one; per topic, between first and last common stamps."""
     compared = unmatched = 0
     largest = 0.0
     for topic, replayed in ((FORCES, force_rows(result.forces)), (SOIL, soil_rows(result.states))):
-        live = result.series.get(topic)
-        if live is None or not len(live) or not len(replayed):
+        logged = live.get(topic)
+        if logged is None or not len(logged) or not len(replayed):
             continue
-        first = max(live.stamps_ns[0], replayed["stamp_ns"][0])
-        last = min(live.stamps_ns[-1], replayed["stamp_ns"][-1], until_ns)
-        live_rows, replayed_rows = (_rows_between_stamps(rows, first, last) for rows in (live.rows, replayed))
+        first = max(logged.stamps_ns[0], replayed["stamp_ns"][0])
+        last = min(logged.stamps_ns[-1], replayed["stamp_ns"][-1], until_ns)
+        live_rows = _rows_between_stamps(logged.rows, first, last)
+        replayed_rows = _rows_between_stamps(replayed, first, last)
         _, in_live, in_replayed = np.intersect1d(
             live_rows["stamp_ns"], replayed_rows["stamp_ns"], return_indices=True
         )
@@ -178,8 +179,8 @@ def _compare_with_live(result: SoilReplay, until_ns: int) -> SoilComparison:
     replayed_classes = {
         s.stamp_ns: np.array(list(s.classes.values())) for s in result.states if s.stamp_ns <= until_ns
     }
-    for stamp_ns in replayed_classes.keys() & result.live_classes.keys():
-        difference = _relative_difference(result.live_classes[stamp_ns], replayed_classes[stamp_ns])
+    for stamp_ns in replayed_classes.keys() & live_classes.keys():
+        difference = _relative_difference(live_classes[stamp_ns], replayed_classes[stamp_ns])
         largest = max(largest, difference)
     return SoilComparison(compared, unmatched, largest)
 

@@ -11,9 +11,11 @@ The likelihood of a measurement is (1 − ε) N(ν; 0, S) + ε u. The cost of an
 spike does not outweigh a drive, and a filter that rejects everything scores badly.
 """
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +88,18 @@ class Task:
             path = Path(self.log.rest["stamp_ns"][is_scored], poses)
             errors.compare(path, self.reference, np.concatenate(covariances))
         return Score(*innovations.score(), *_error_numbers(errors))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of everything on which a score depends, except the values."""
+        digest = hashlib.sha256(repr(self.p).encode())
+        for array in self.log:
+            digest.update(array.tobytes())
+        if self.reference is not None:
+            R = self.reference.covariances
+            digest.update(self.reference.stamps_ns.tobytes() + self.reference.poses.tobytes())
+            digest.update(b"" if R is None else R.tobytes())
+        return digest.hexdigest()
 
     def _is_near_reference(self) -> BoolArray:
         """(k,) whether an entry is a sprocket sample (with an estimate) next to a sample of the reference."""

@@ -3,13 +3,15 @@
 """Tunes over many bags, and cross-validates: each bag is left out of a search and scored with its result."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+import trackslip_estimation
 from trackslip_common.arrays import FloatArray
-from trackslip_tools.tuning.journal import Journal
+from trackslip_tools import tuning
+from trackslip_tools.result_cache import ResultCache, key_of
 from trackslip_tools.tuning.plan import POSE, POSITION, Plan, value_of
 from trackslip_tools.tuning.search import search
 from trackslip_tools.tuning.task import Job, Score, Task
@@ -60,7 +62,7 @@ class Tuner:
         plan: Plan,
         tasks: Sequence[Task],
         work: ScoreJobs,
-        journal: Journal,
+        journal: ResultCache[Score],
         advance: Callable[[int], None],
     ) -> None:
         """``advance`` gets the number of scored sets (new or from the journal) after each step."""
@@ -99,12 +101,20 @@ class Tuner:
 
     def _scores(self, sets: Sequence[dict[str, float]], bags: Sequence[int]) -> list[list[Score]]:
         """Scores of each set and bag; those in the journal are not computed again."""
-        requested = dict.fromkeys((bag, tuple(values.values())) for values in sets for bag in bags)
-        missing = [key for key in requested if key not in self._journal]
-        jobs = [(bag, dict(zip(self._plan.bounds, values, strict=True))) for bag, values in missing]
-        for key, score in zip(missing, self._work(jobs), strict=True):
-            self._journal.add(*key, score)
-        return [[self._journal[bag, tuple(values.values())] for bag in bags] for values in sets]
+        keys = [[self._key(bag, values) for bag in bags] for values in sets]
+        requested = {
+            key: (bag, values)
+            for row, values in zip(keys, sets, strict=True)
+            for key, bag in zip(row, bags, strict=True)
+        }
+        missing = {key: job for key, job in requested.items() if key not in self._journal}
+        for key, score in zip(missing, self._work(list(missing.values())), strict=True):
+            self._journal.add(key, score)
+        return [[self._journal[key] for key in row] for row in keys]
+
+    def _key(self, bag: int, values: Mapping[str, float]) -> str:
+        parts = {"task": self._tasks[bag].fingerprint, "values": values}
+        return key_of(parts, trackslip_estimation, tuning)
 
 
 def cost(objective: str, score: Score) -> float:

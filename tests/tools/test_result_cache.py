@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of JSON that are truncated, edited or written by others."""
+"""Results in lines of JSON that are truncated, edited or written by others."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
-from trackslip_common.json_records import make_record, parse_line
+from trackslip_tools.result_cache import ResultCache, make_record
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,18 @@ def test_entry_of_another_type_is_refused(entry: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["", "{", "[" * 100_000, '{"a": ' * 100_000, "[1]", "7" * 5000, "null", '"a"']
+    "line",
+    [
+        *("", "{", "[" * 100_000, '{"a": ' * 100_000, "[1]", "7" * 5000, "null", '"a"', "{}"),
+        *('{"key": "b"}', '{"row": {}}', '{"key": "b", "row": {"nis": 1, "count": 2}}', '{"key": "b", "ro'),
+    ],
 )
-def test_lines_without_a_mapping_give_none(line: str) -> None:
-    """Deeply nested lines give none too."""
-    assert parse_line(line) is None
+def test_other_lines_are_passed_over(tmp_path: Path, line: str) -> None:
+    file, score = tmp_path / "cache.jsonl", Score({"box_pose": 1.0}, 3)
+    ResultCache(file, Score, "--cache").add("a", score)
+    with file.open("a", encoding="utf-8") as stream:
+        stream.write(f"\n{line}")
+    again = ResultCache(file, Score, "--cache")
+    assert again == {"a": score}
+    again.add("c", score)
+    assert ResultCache(file, Score, "--cache") == {"a": score, "c": score}
