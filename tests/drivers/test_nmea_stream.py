@@ -94,15 +94,6 @@ def test_gst_once_a_second_applies_to_all_fixes_of_that_second():
     assert {s.covariance_type for s in samples[2:]} == {CovarianceType.DIAGONAL_KNOWN}
 
 
-def test_heading_has_the_epoch_of_its_burst_and_its_own_accuracy_or_the_assumed_one():
-    for encoders, stddev in (((gga, hdt), P.heading_stddev), ((pashr, gga), math.radians(0.2))):
-        samples = received(stream(), EPOCHS[:3], encoders)
-        fixes, headings = ([s for s in samples if isinstance(s, kind)] for kind in (FixSample, HeadingSample))
-        assert [s.stamp_ns for s in fixes] == [s.stamp_ns for s in headings]
-        assert headings[0].yaw == pytest.approx(math.radians(90.0 - 120.0))
-        assert headings[0].stddev == pytest.approx(stddev)
-
-
 def ths(position):
     return sentence(f"GNTHS,{position.heading:.2f},A")
 
