@@ -26,7 +26,6 @@ from trackslip_estimation.slip.sources import Rejection, YawRateSource
 S = 1_000_000_000
 IMU = "sources.imu_data_raw."
 ANGLES = st.floats(-math.pi, math.pi)
-MOUNTED = {f"{IMU}mounting_roll": math.pi, f"{IMU}mounting_pitch": 0.2, f"{IMU}mounting_yaw": -0.7}
 
 
 def vector(values: Any) -> Any:

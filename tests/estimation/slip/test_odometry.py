@@ -174,24 +174,6 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
     assert {stamp: outcome for stamp, outcome in outcomes.items() if stamp > stamps[10]} == expected
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"position": np.array((np.nan, 0.0, 0.0))},
-        {"orientation": np.zeros(4)},
-        {"orientation": np.array((0.0, 0.0, 0.0, 1.2))},
-        {"variances": np.full((2, 3), -1e-6)},
-        {"variances": np.full((2, 3), np.nan)},
-    ],
-)
-def test_malformed_odometry_pose_is_invalid(bad: dict[str, np.ndarray]) -> None:
-    recorded = drive(Machine(duration=3.0))
-    estimator = SlipEstimator(with_odometry())
-    estimator.process_all(recorded.measurements)
-    last = replace(pose_of(recorded.measurements[-1].stamp_ns, recorded.poses[-1]), **bad)
-    assert estimator.process(last)[0].outcome is Outcome.INVALID
-
-
 @pytest.mark.parametrize("rate", [0.0, 0.8, -2.5])
 def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
     """Exact for arcs of up to half a turn, with a camera that is rotated and off the centre."""

@@ -186,22 +186,6 @@ def test_slips_keep_their_prior_at_standstill_from_the_start(
     np.testing.assert_allclose(np.sqrt(np.diag(last.outputs.slip_covariance)), (0.1, 0.1, 0.01), rtol=1e-6)
 
 
-@pytest.mark.parametrize("model", ["turning", "free_slips"])
-def test_covariances_stay_symmetric_and_positive(
-    drive: Callable[..., Any], model: str, thesis_run: Run
-) -> None:
-    segments = [
-        (3.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        (5.0, 2.0, 2.0, 0.1, 0.1, 0.0),
-        (5.0, -1.0, 1.0, 0.3, 0.3, 0.1),
-    ]
-    for e in thesis_run(drive(segments, seed=3).measurements, model=model).estimates:
-        for P in (e.pose_covariance, e.outputs.slip_covariance, e.outputs.twist_covariance):
-            np.testing.assert_allclose(P, P.T, atol=1e-12)
-            assert np.linalg.eigvalsh(P)[0] > -1e-12
-        assert np.linalg.eigvalsh(e.pose_covariance)[0] > 0.0
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
 def test_fixes_at_standstill_leave_the_variance_of_their_common_part(
     drive: Callable[..., Any], thesis_run: Run, share: float

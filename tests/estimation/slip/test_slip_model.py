@@ -86,14 +86,6 @@ def twist(x: FloatArray, left: float, right: float) -> FloatArray:
     return np.array(dispatch.twist(x, left, right, C))
 
 
-@given(states, speeds, speeds, times)
-def test_f_is_the_derivative_of_the_step_by_the_state(
-    x: FloatArray, left: float, right: float, dt: float
-) -> None:
-    F = filter_steps.transition(x, Drive(left, right), dt, CONFIG)
-    np.testing.assert_allclose(F, differences(lambda v: move(v, left, right, dt), x), atol=1e-7)
-
-
 @given(states, speeds, speeds, st.floats(0.01, 0.5))
 def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     x: FloatArray, left: float, right: float, dt: float
@@ -102,15 +94,6 @@ def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     variance = np.square((NOISE["encoder"] * left, NOISE["encoder"] * right)) / dt
     Q = process_noise(x, NOTHING, Drive(left, right), dt, ENCODER_ONLY)
     np.testing.assert_allclose(Q, (G * variance) @ G.T, atol=1e-8)
-
-
-@pytest.mark.parametrize(("kind", "rows"), [(YAW_RATE, 1), (POSE, 2), (POSE, 3)])
-@given(x=states, left=speeds, right=speeds)
-def test_h_is_the_derivative_of_the_measurement(
-    kind: int, rows: int, x: FloatArray, left: float, right: float
-) -> None:
-    by_differences = differences(lambda v: expected(kind, v, rows, (left, right), C), x)
-    np.testing.assert_allclose(jacobian(kind, x, rows, (left, right), C), by_differences, atol=1e-7)
 
 
 @given(states, speeds, speeds)
@@ -188,11 +171,6 @@ def test_spot_turn_and_reverse_move_the_pose_as_computed_by_hand() -> None:
     np.testing.assert_allclose(x[POSE_SLICE], (-0.159, 0.0, 0.0))
 
 
-def test_heading_stays_within_a_turn() -> None:
-    x = move(state(yaw=3.1), -1.0, 1.0, 1.0)
-    assert x[YAW] == pytest.approx(3.1 + 2 * 0.159 / 0.73 - 2 * math.pi)
-
-
 @given(states, speeds, speeds)
 def test_midpoint_step_matches_fine_steps(x: FloatArray, left: float, right: float) -> None:
     """Error of the chord: v dt (φ̇ dt)²/24 (1 + tan α …); that of an Euler step is v dt φ̇ dt/2."""
@@ -205,14 +183,6 @@ def test_midpoint_step_matches_fine_steps(x: FloatArray, left: float, right: flo
     bound = math.hypot(v_x, v_y) * dt * (rate * dt) ** 2 / 24.0
     assert math.hypot(*(once - fine)[:2]) <= 1.01 * bound + 1e-12
     assert wrap(once[YAW] - fine[YAW]) == pytest.approx(0.0, abs=1e-12)
-
-
-@given(states, speeds, speeds)
-def test_step_of_zero_duration_changes_nothing(x: FloatArray, left: float, right: float) -> None:
-    np.testing.assert_allclose(move(x, left, right, 0.0)[POSE_SLICE][:2], x[POSE_SLICE][:2])
-    still = Drive(left, right)
-    np.testing.assert_array_equal(filter_steps.transition(x, still, 0.0, CONFIG), np.eye(SIZE))
-    np.testing.assert_array_equal(process_noise(x, NOTHING, still, 0.0, CONFIG), 0.0)
 
 
 @given(states, speeds, speeds, times)
