@@ -170,14 +170,6 @@ def test_configured_start_is_the_first_estimate(thesis_parameters: ParametersFac
     np.testing.assert_allclose(np.diag(estimate.pose_covariance), (0.0009, 0.0009, 0.01))
 
 
-def test_positions_override_speeds(drive: Callable[..., Any], thesis_run: Run) -> None:
-    found = drive([(3.0, 2.0, 2.0, 0.0, 0.0, 0.0)], fix_every=10**9).measurements
-    lying = [replace(m, left_speed=7.0, right_speed=-3.0) if isinstance(m, Sprockets) else m for m in found]
-    last = thesis_run([m for m in lying if not isinstance(m, PoseFix)]).estimates[-1]
-    np.testing.assert_allclose(last.pose, (0.159 * 2.0 * 3.0, 0.0, 0.0), atol=0.01)
-    assert last.outputs.twist[0] == pytest.approx(0.318, abs=1e-3)
-
-
 def test_slips_keep_their_prior_at_standstill_from_the_start(
     drive: Callable[..., Any], thesis_run: Run
 ) -> None:

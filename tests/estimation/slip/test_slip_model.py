@@ -86,6 +86,14 @@ def twist(x: FloatArray, left: float, right: float) -> FloatArray:
     return np.array(dispatch.twist(x, left, right, C))
 
 
+@given(states, speeds, speeds, times)
+def test_f_is_the_derivative_of_the_step_by_the_state(
+    x: FloatArray, left: float, right: float, dt: float
+) -> None:
+    F = filter_steps.transition(x, Drive(left, right), dt, CONFIG)
+    np.testing.assert_allclose(F, differences(lambda v: move(v, left, right, dt), x), atol=1e-7)
+
+
 @given(states, speeds, speeds, st.floats(0.01, 0.5))
 def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     x: FloatArray, left: float, right: float, dt: float
@@ -94,6 +102,15 @@ def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     variance = np.square((NOISE["encoder"] * left, NOISE["encoder"] * right)) / dt
     Q = process_noise(x, NOTHING, Drive(left, right), dt, ENCODER_ONLY)
     np.testing.assert_allclose(Q, (G * variance) @ G.T, atol=1e-8)
+
+
+@pytest.mark.parametrize(("kind", "rows"), [(YAW_RATE, 1), (POSE, 2), (POSE, 3)])
+@given(x=states, left=speeds, right=speeds)
+def test_h_is_the_derivative_of_the_measurement(
+    kind: int, rows: int, x: FloatArray, left: float, right: float
+) -> None:
+    by_differences = differences(lambda v: expected(kind, v, rows, (left, right), C), x)
+    np.testing.assert_allclose(jacobian(kind, x, rows, (left, right), C), by_differences, atol=1e-7)
 
 
 @given(states, speeds, speeds)
