@@ -399,7 +399,7 @@ def test_failed_encoders_are_found_before_the_heading_is_known(
     assert found.between(26.0).distances.max() < 0.2
 
 
-@pytest.mark.parametrize("fix_rate", [1, 5, 10])
+@pytest.mark.parametrize("fix_rate", [1, 10])
 def test_lost_counts_beside_fixes_at_any_rate_keep_the_estimate_consistent(fix_rate: int) -> None:
     """The cost of an implausible slip must not depend on the number of fixes."""
     machine, runs = Machine(duration=50.0, track_error=0.05, fix_rate=fix_rate), list[PoseErrors]()
