@@ -47,7 +47,7 @@ def with_odometry(**values: object) -> SlipEstimatorParameters:
     return parameters(**{"odometry_sources": [SOURCE], **levers, **mounted, **noise, **values})
 
 
-def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
+def pose_of(stamp_ns: int, pose: np.ndarray) -> OdometryPose:
     """Pose that the source publishes with base_link at (3,) x, y, heading of its odom frame, if level."""
     base, camera = (
         np.array(quaternion_from_angles(0.0, 0.0, pose[2])),
@@ -55,7 +55,7 @@ def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
     )
     at = turned_by(ODOM_ORIENTATION, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
     turn = product(product(ODOM_ORIENTATION, base), camera)
-    return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
+    return OdometryPose(SOURCE, stamp_ns, at, turn, 7, np.zeros((2, 3)))
 
 
 def seen(

@@ -37,9 +37,11 @@ LIMIT = 18.5  # limit of a gate with two degrees of freedom that is not widened
 SOURCE = {"slip_sources": ["slip_seed"]}
 
 
-def seed_at(stamp_ns: int, slip: float, deviation: float = 0.003, source: str = "slip_seed") -> SlipFix:
+def seed_at(stamp_ns: int, slip: float, deviation: float = 0.003) -> SlipFix:
     """A seed of equal slips with highly correlated errors."""
-    return SlipFix(source, stamp_ns, np.full(2, slip), deviation**2 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
+    return SlipFix(
+        "slip_seed", stamp_ns, np.full(2, slip), deviation**2 * (np.ones((2, 2)) + 0.01 * np.eye(2))
+    )
 
 
 @pytest.mark.parametrize("model", MODELS)
