@@ -63,6 +63,11 @@ def test_another_cycle_is_measured(nominal_ms):
     assert cycles[25] == pytest.approx(20.0 * MS, rel=0.2)
 
 
+def test_cycle_is_measured_after_a_burst_of_100_frames():
+    times = np.concatenate((np.arange(9) * 10.0, np.full(100, 80.0), 90.0 + np.arange(200) * 10.0))
+    assert measured(10.0, times)[-1] == 10.0 * MS
+
+
 def test_a_sender_that_changes_its_cycle_is_followed():
     times = np.concatenate((np.arange(200) * 10.0, 2000.0 + np.arange(300) * 50.0))
     cycles = measured(10.0, times)
