@@ -100,8 +100,8 @@ def of_j1939(dbc):
     return dbc.replace("BO_ 385", f"BO_ {0x98FF0AFE}")
 
 
-def from_source(address, end_ns=2 * S):
-    for stamp_ns, name, data in unseen_bus.frames(S, end_ns):
+def from_source(address):
+    for stamp_ns, name, data in unseen_bus.frames(S, 2 * S):
         yield stamp_ns, 0x18FF0A00 | address if len(data) == 4 else name, data
 
 

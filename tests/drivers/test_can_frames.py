@@ -133,17 +133,6 @@ def test_lost_frames_are_counted_and_the_next_is_accepted(decoder, tally, lost, 
     assert tally.total[SPOOLS, "lost"] == lost
 
 
-@pytest.mark.parametrize("stall", [5, 15, 16, 40])
-def test_sender_that_stalls_and_catches_up_loses_nothing(decoder, tally, stall):
-    elapsed = []
-    for alive in range(4):
-        receive(decoder, alive, alive - 3)
-    for alive in range(4, stall + 14):
-        elapsed += receive(decoder, alive, max(alive - 3, stall + 0.1 * (alive - 4)))
-    assert elapsed == [1] * (stall + 10)
-    assert not tally.total
-
-
 def test_sprockets_of_a_sender_that_stalls_for_150_ms_keep_their_speed(excavator, tally):
     per_count, speeds, positions = 2.0 * math.pi / 12288, [], []
     for k in range(100):

@@ -195,15 +195,6 @@ def test_restarts_at_once_when_the_scanner_reports_a_restart() -> None:
     assert bench.count(SessionFault.RESTARTED) == 1
 
 
-def test_restarts_after_the_cable_is_replugged() -> None:
-    bench = streaming()
-    bench.plugged = False
-    bench.run_until(Phase.PROBING, within=2.5)
-    bench.run(5.0)
-    bench.plugged = True
-    bench.run_until(Phase.STREAMING, within=4.0)
-
-
 def test_waits_for_a_scanner_that_is_slow_to_change_its_mode(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sick_device, "_REPLY_DELAY_NS", 2500 * MS)
     bench = Bench()

@@ -224,16 +224,6 @@ def test_every_scan_after_noise_is_received(before: bytes, seed: int) -> None:
     assert receiver.payloads == [scan[4:-2] for scan in scans]
 
 
-def test_a_telegram_may_be_split_anywhere() -> None:
-    whole = scan_frame(3)
-    for cut in (*range(8), *range(8, len(whole), 90), len(whole) - 1):
-        receiver = Receiver()
-        receiver.feed(whole[:cut])
-        receiver.feed(whole[cut:])
-        assert receiver.payloads == [whole[4:-2]]
-        assert not receiver.tally.total
-
-
 def assert_only_following_scans_are_received(damaged: bytes, seed: int) -> None:
     receiver, following = Receiver(), [scan_frame(seed + 1), scan_frame(seed + 2)]
     for scan in (damaged, *following):

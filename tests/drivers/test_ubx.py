@@ -134,12 +134,6 @@ def test_the_finest_position_and_the_covariance_are_used(encoders):
     np.testing.assert_allclose([fix.variances for fix in fixes[2:]], [(4e-4, 1e-4, 9e-4)] * 18, rtol=1e-6)
 
 
-def test_heading_has_the_epoch_of_its_fix():
-    fixes, headings = epochs(pvt, relative)
-    assert [h.stamp_ns for h in headings] == [f.stamp_ns for f in fixes]
-    assert headings[0][1:] == pytest.approx((math.radians(60.0), math.radians(0.2)))
-
-
 def test_an_accuracy_of_zero_is_unknown():
     velocity, fix = NmeaStream(P, Tally()).feed(pvt(hAcc=0, vAcc=0, sAcc=0), S)
     assert velocity.stddev == P.velocity_stddev

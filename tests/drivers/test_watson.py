@@ -139,14 +139,6 @@ def test_rejections_are_counted_and_pass(line, reason):
     assert parser.tally.total == {(IMU, reason.value): max(1, len(line) // parser.limit)}
 
 
-def test_rubbish_without_a_line_end_is_counted_while_it_comes():
-    parser = stream()
-    for number in range(10):
-        assert parser.feed(b"\xff" * parser.limit, number) == []
-        assert parser.bytes_held <= parser.limit
-    assert parser.tally.total == {(IMU, Rejection.OVERLONG.value): 9}
-
-
 @pytest.mark.parametrize(
     ("line", "text"),
     [(b"R +0.012 -0.003", "2 fields, 9 expected"), (b"\x80\x80\x80", "frame of 3 bytes, 18 expected")],

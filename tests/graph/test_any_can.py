@@ -58,12 +58,3 @@ def test_unknown_machine_is_read_by_its_dbc_and_roles(real_time, programs, obser
 
     observer.wait(lambda: reported("rate (Hz)") == pytest.approx(50.0, rel=0.3), "the rate of the sprockets")
     assert reported("frames without a role") > 10
-
-
-def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs):
-    dbc, roles = unseen_bus.write(programs.folder, dbc=unseen_bus.DBC.replace('"bar"', '"at"'))
-    program = programs.node("can_driver", dbc_file=str(dbc), roles_file=str(roles))
-    assert program.wait() == 2
-    (line,) = program.stderr.splitlines()
-    assert "role 'left_pressure'" in line
-    assert "unit 'at' of the DBC is unknown; accepted: unit: one of Pa" in line

@@ -19,13 +19,10 @@ from rosbags.highlevel import AnyReader
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_common.topics import SENSOR_TOPICS
-from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 from trackslip_sim.demo.run import main as run_demo
 from trackslip_tools.cli.outputs import PAGE_PREFIX
 
 pytestmark = pytest.mark.xdist_group("graph")
-
-NODES = 8
 
 
 def demo(programs, *arguments):
@@ -142,19 +139,6 @@ def test_demo_survives_a_taken_port_a_killed_page_and_a_second_ctrl_c(programs, 
         assert not bag.damage
 
 
-@pytest.mark.slow
-def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
-    program = demo(programs, "--duration", "60")
-    wait_for_drive(observer)
-    assert len(programs.alive()) == 2 + NODES  # demo and live page
-    assert_ends_quietly(programs, program)
-    with open_bag(programs.folder / "demo" / "bag") as bag:
-        assert not bag.damage
-        assert bag.topics["/sprockets"].count > 100
-        assert sum(1 for _ in bag.messages()) == bag.message_count
-    assert not (programs.folder / "demo" / "dev").exists()
-
-
 def test_ctrl_c_while_the_demo_loads(programs):
     program = demo(programs)
     program.until(lambda: program.has_loaded("multiarray"), "the demo to load numpy")
@@ -190,17 +174,3 @@ def test_node_that_dies_ends_the_demo(programs, observer):
     (line,) = program.stderr.splitlines()
     assert "watson_imu" in line
     assert programs.alive() == {}
-
-
-def test_demo_starts_as_many_nodes_as_these_tests_expect(tmp_path):
-    options = DemoOptions(
-        devices=tmp_path,
-        bag=tmp_path,
-        can_port=1,
-        duration=1.0,
-        soil="",
-        scenario="",
-        vehicle="pc05",
-        autostart=False,
-    )
-    assert len(demo_nodes(options)) == NODES

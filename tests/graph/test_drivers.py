@@ -21,7 +21,6 @@ from fixtures.plugged_devices import (
     G,
     Powered,
     plug_can,
-    plug_halting,
     plug_incomplete,
     plug_sick,
     plug_watson,
@@ -200,24 +199,6 @@ def test_watson_over_range_is_reported(programs, observer, device):
     )
 
 
-@pytest.mark.slow
-def test_two_watsons_run_side_by_side(programs, observer, device):
-    """Each unit has its own name, port, frame, topic and hardware id."""
-    healths, messages = observer.healths(), {}
-    for name in ("left_imu", "right_imu"):
-        path = programs.folder / name
-        device(plug_watson, path).plug()
-        messages[name] = observer.subscribe(f"{name}/data_raw", "imu/data_raw")
-        remaps = ("-r", f"__node:={name}", "-r", f"imu/data_raw:={name}/data_raw")
-        programs.node("watson_imu", *remaps, serial_port=str(path), frame_id=f"{name}_link", parity="N")
-    observer.wait(lambda: all(len(received) > 5 for received in messages.values()), "both")
-    for name, received in messages.items():
-        assert {message.header.frame_id for message in received} == {f"{name}_link"}
-        observer.wait(lambda name=name: is_healthy(healths, name), f"good health of {name}")
-        ids = {h.hardware_id for h in healths if h.name == name}
-        assert ids == {str(programs.folder / name)}
-
-
 def test_can(bench, programs, observer):
     hydraulics = observer.subscribe("hydraulics")
     messages = run(bench, programs, observer, "can_driver", 200)
@@ -236,13 +217,6 @@ def test_can(bench, programs, observer):
         assert (message.left_spool, message.right_spool) == pytest.approx((0.5, -0.25), abs=0.01)
         assert message.supply_pressure == pytest.approx(18.0e6, rel=0.01)
     assert_stamped(hydraulics, stamp_ns_of(messages[0]))
-
-
-@pytest.mark.slow
-def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, observer, device, udp_port):
-    """A short halt, as on a busy machine; the driver continues."""
-    bench["can_driver"] = (partial(device, plug_halting, plug_can, udp_port), bench["can_driver"][1])
-    run(bench, programs, observer, "can_driver", 200)
 
 
 def test_briefly_unusable_frames_are_no_fault(bench, programs, observer, device, udp_port):

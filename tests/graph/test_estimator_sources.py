@@ -2,14 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Further sources of the live slip estimator: slip seeds, orientations of an IMU, odometry of a camera."""
 
-import math
-
 import numpy as np
 import pytest
 from fixtures.driven_estimator import DrivenEstimator
 from fixtures.sensor_messages import pose, sprockets, stamped
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Imu
 from trackslip_msgs.msg import MeasurementReport, TrackSlip
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -42,34 +39,6 @@ def test_node_accepts_seeds_and_reports_their_outcome(programs, observer):
     observer.wait(lambda: len(slips) > reported, "slips")
     assert slips[-1].left_slip == pytest.approx(0.04, abs=0.02)
     assert slips[-1].right_slip == pytest.approx(slips[-1].left_slip, abs=1e-3)
-
-
-PITCH = 0.2  # rad
-
-
-@pytest.mark.slow
-def test_orientation_is_used_and_one_without_a_covariance_is_counted(programs, observer):
-    driven = DrivenEstimator(programs, observer, dict.fromkeys(("sprockets", "box_pose", "imu/data_raw")))
-    attitudes = observer.subscribe("attitude")
-    settings = {"use_orientation": True, "use_acceleration": False}
-    driven.begin(**{f"sources__imu_data_raw__{name}": v for name, v in settings.items()})
-    for at_ms in range(0, 400, 20):
-        imu = stamped(Imu, at_ms)
-        imu.orientation.y, imu.orientation.w = math.sin(PITCH / 2.0), math.cos(PITCH / 2.0)
-        if at_ms >= 200:
-            imu.orientation_covariance = np.diag([1e-5, 1e-5, 1e-2]).flatten()
-        driven.feed("box_pose", pose(at_ms))
-        driven.feed("sprockets", sprockets(at_ms))
-        driven.feed("imu/data_raw", imu)
-
-    def counted():
-        key = "imu/data_raw: no_covariance"
-        counts = [pair for h in driven.healths for pair in h.values if pair.key == key]
-        return counts and counts[-1].value == "10"
-
-    observer.wait(counted, "ten that have no covariance")
-    turn = attitudes[-1].orientation
-    assert 2.0 * (turn.w * turn.y - turn.z * turn.x) == pytest.approx(math.sin(PITCH), abs=1e-3)
 
 
 STEP_MS, STEPS, EVERY = 20, 100, 5

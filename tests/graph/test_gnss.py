@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from fixtures.observer import last_of, last_values
-from std_msgs.msg import String
 
 from trackslip_common.make import stamp_ns_of
 
@@ -66,25 +64,3 @@ def test_antenna_position_and_heading_match_the_truth(real_time, machine, observ
             heading = 2 * math.atan2(message.orientation.z, message.orientation.w)
             error = heading - np.interp(seconds(message), times, yaw)
             assert math.remainder(error, math.tau) == pytest.approx(0.0, abs=0.03)
-
-
-@pytest.mark.slow
-def test_faults_of_a_receiver_are_reported_and_withdrawn(machine, observer):
-    healths, fault = observer.healths(), observer.publisher("emulator/fault")
-    poses = observer.subscribe("gnss_pose")
-    observer.wait_for_ends("emulator/fault", "emulator")
-    observer.wait(lambda: len(poses) > 5, "poses")
-
-    def reports(name, part, value):
-        return getattr(last_of(healths, name), part, None) == value
-
-    for kind, level in (("unplug", b"\2"), ("wrong_baud", b"\2"), ("no_fix", b"\1")):
-        before = len(poses)
-        fault.publish(String(data=f"{{sensor: gnss, kind: {kind}, duration: 3.0}}"))
-        observer.wait(lambda level=level: reports("nmea_gnss", "level", level), f"{kind} to be reported")
-        observer.wait(lambda: reports("gnss_localizer", "message", "no fixes"), "the localizer to miss them")
-        observer.wait(lambda before=before: len(poses) > before + 5, f"poses after {kind}")
-        observer.wait(lambda: not reports("gnss_localizer", "message", "no fixes"), "all to be well")
-    values = last_values(healths, "nmea_gnss")
-    assert int(values["fix: no fix"]) >= 20
-    assert int(values["reconnects"]) >= 1

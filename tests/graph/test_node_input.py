@@ -112,14 +112,10 @@ def test_refused_value(assert_refused, node, name):
     assert_refused(node, ros_arguments(**{name: value}), name.rpartition("__")[2], text)
 
 
-@pytest.mark.parametrize("node", NODES)
-def test_parameter_file_that_is_not_there(assert_refused, node):
-    assert_refused(node, ros_arguments("--params-file", "missing.yaml"), "missing.yaml", "accepted: ")
-
-
-def test_parameter_file_that_is_not_yaml(assert_refused, tmp_path):
+def test_parameter_file_that_is_missing_or_no_yaml(assert_refused, tmp_path):
     (tmp_path / "bad.yaml").write_text("sick_pls: [", encoding="utf-8")
-    assert_refused("sick_pls", ros_arguments("--params-file", "bad.yaml"), "bad.yaml", "accepted: ")
+    for name in ("missing.yaml", "bad.yaml"):
+        assert_refused("sick_pls", ros_arguments("--params-file", name), name, "accepted: ")
 
 
 def test_unknown_parameter_in_a_file(assert_refused, tmp_path):

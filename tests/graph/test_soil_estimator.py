@@ -3,7 +3,6 @@
 """The soil estimator node: its outputs, its fault reports, and its robustness."""
 
 import signal
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,23 +112,6 @@ def test_node_publishes_the_outputs_of_the_estimator_and_takes_new_limits(
     ):
         (result,) = observer.set_parameters("soil_estimator", **{name: value})
         assert result.successful is accepted, name
-
-
-@pytest.mark.slow
-def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, inputs):
-    """Resistances equal those of the estimator with a swing, and differ from those without."""
-    node = SoilNode(programs, observer, vehicle="pc05_cab")
-    swung = [
-        replace(one, swing=1.5, swing_variance=1e-4) if isinstance(one, records.MachineState) else one
-        for one in inputs
-    ]
-    outputs = node.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
-    assert len(node.forces) == len(outputs) > 90
-    for message in node.forces:
-        expected = outputs[stamp_ns_of(message)]
-        assert (message.left_resistance, message.right_resistance) == expected.resistance
-    last = node.forces[-1]
-    assert abs(last.left_resistance) > 1.3 * abs(last.right_resistance)
 
 
 @pytest.mark.slow

@@ -113,17 +113,6 @@ def test_equals_the_batch_solution_with_singular_noise_and_a_certain_state(
     np.testing.assert_array_equal(covariances[:, 2], 0.0)
 
 
-def test_smoothed_covariance_is_below_the_filtered_one_before_the_end(
-    filtered: tuple[FloatArray, ...],
-) -> None:
-    means, covariances = smooth_back(filtered, TRANSITIONS, ANGLE)
-    gained = filtered[1] - covariances
-    assert np.linalg.eigvalsh(gained).min() > -1e-12
-    assert (gained[:-1, 0, 0] > 0.0).all()
-    np.testing.assert_array_equal(means[-1], filtered[0][-1])
-    np.testing.assert_array_equal(covariances[:-1], np.swapaxes(covariances[:-1], 1, 2))
-
-
 @pytest.fixture(scope="module", params=["turning", "icr", "free_slips"])
 def config(request: pytest.FixtureRequest) -> ConfigRecord:
     return config_of(model=request.param)

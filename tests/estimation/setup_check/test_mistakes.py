@@ -291,8 +291,7 @@ ONE_CAUSE_WITHOUT_HEADINGS: dict[str, tuple[Callable[[Log], Log], str, str]] = {
 @pytest.mark.parametrize(
     ("name", "has_heading"),
     [
-        *((name, True) for name in ONE_CAUSE),
-        *((name, False) for name in ONE_CAUSE if not name.startswith(("time", "gyro"))),
+        *((name, k % 2 == 0 or name.startswith(("time", "gyro"))) for k, name in enumerate(ONE_CAUSE)),
         *((name, False) for name in ONE_CAUSE_WITHOUT_HEADINGS),
     ],
 )
@@ -321,12 +320,15 @@ def hill(*, has_turns_and_headings: bool) -> Log:
     return make_drive(has_heading=has_turns_and_headings, slope=0.3, **programme)
 
 
-@pytest.mark.parametrize("has_turns_and_headings", [True, False])
 @pytest.mark.parametrize(
-    "name",
+    ("name", "has_turns_and_headings"),
     [
-        *("healthy", "nose up", "on its side", "diameter for radius", "gyro in deg/s", "gyro sign"),
-        *("gyro axes y and z", "gyro axes x and z", "radius too large", "speed in rpm"),
+        *(
+            (name, True)
+            for name in ("healthy", "nose up", "gyro axes y and z", "gyro in deg/s", "speed in rpm")
+        ),
+        *((name, False) for name in ("healthy", "on its side", "gyro axes x and z", "gyro sign")),
+        *((name, False) for name in ("diameter for radius", "radius too large")),
     ],
 )
 def test_pitch_on_a_hill_is_no_turn(name: str, *, has_turns_and_headings: bool) -> None:
@@ -338,8 +340,7 @@ def test_pitch_on_a_hill_is_no_turn(name: str, *, has_turns_and_headings: bool) 
         assert result.causes
 
 
-@pytest.mark.parametrize("has_heading", [True, False])
-@pytest.mark.parametrize("factor", [0.42, 2.0, 5.0])
+@pytest.mark.parametrize(("factor", "has_heading"), [(0.42, True), (2.0, False), (5.0, True)])
 def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_heading: bool) -> None:
     log = make_drive(has_heading=has_heading)
     (gyro,) = log.gyros
@@ -348,8 +349,7 @@ def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_
     assert float(cause.remedy.rpartition("=")[2]) == pytest.approx(factor, rel=0.06)
 
 
-@pytest.mark.parametrize("lever", [(-1.2, 0.6), (1.5, 0.5)])
-@pytest.mark.parametrize("stddev", [0.02, 3.0])
+@pytest.mark.parametrize(("lever", "stddev"), [((-1.2, 0.6), 0.02), ((1.5, 0.5), 3.0)])
 def test_a_wrong_lever_arm_is_no_scale_of_the_gyro(lever: tuple[float, float], stddev: float) -> None:
     """As where a first mapping file guesses the vehicle, and with it the lever arm."""
     log = with_stddev(make_drive(has_heading=False), stddev)
@@ -366,8 +366,9 @@ def test_front_and_rear_exchanged_are_no_lever_arm_and_no_offset(*, has_heading:
     assert result.causes or result.undetermined
 
 
-@pytest.mark.parametrize("has_heading", [True, False])
-@pytest.mark.parametrize("name", ["x and y", "sign of x", "sign of y"])
+@pytest.mark.parametrize(
+    ("name", "has_heading"), [("x and y", True), ("sign of x", False), ("sign of y", True)]
+)
 def test_mirrored_fixes_of_a_drive_with_few_turns_are_not_passed_over(
     name: str, *, has_heading: bool
 ) -> None:
@@ -378,8 +379,9 @@ def test_mirrored_fixes_of_a_drive_with_few_turns_are_not_passed_over(
     assert result.causes or any("position" in u.what or "fixes" in u.what for u in result.undetermined)
 
 
-@pytest.mark.parametrize("has_heading", [True, False])
-@pytest.mark.parametrize("name", ["no mistake", "tracks swapped", "x and y"])
+@pytest.mark.parametrize(
+    ("name", "has_heading"), [("no mistake", False), ("tracks swapped", True), ("x and y", False)]
+)
 def test_a_gyro_that_does_not_show_the_turns_of_tracks_and_fixes_is_named(
     name: str, *, has_heading: bool
 ) -> None:
@@ -403,7 +405,7 @@ SLOW = (
 )
 
 
-@pytest.mark.parametrize("late", [-1.6, -1.2, 1.2, 1.6])
+@pytest.mark.parametrize("late", [-1.2, 1.6])
 def test_a_clock_that_is_off_by_more_than_any_latency_shows_in_a_slow_drive(late: float) -> None:
     """Its segments scatter about the delay."""
     log = make_drive(has_heading=False, programme=SLOW, fix_stddev=0.03, slip=0.3)
@@ -412,15 +414,19 @@ def test_a_clock_that_is_off_by_more_than_any_latency_shows_in_a_slow_drive(late
     assert f"time_offset: {-late:.1f}" in cause.remedy
 
 
-@pytest.mark.parametrize("source", ["fixes late", "gyro late", "encoders late"])
-@pytest.mark.parametrize("has_gyro", [True, False])
+@pytest.mark.parametrize(
+    ("source", "has_gyro"),
+    [("fixes late", True), ("fixes late", False), ("gyro late", True), ("encoders late", False)],
+)
 def test_a_delay_at_one_speed_is_no_lever_arm(source: str, *, has_gyro: bool) -> None:
     log = MISTAKES[source].inject(make_drive(programme=STEADY, has_heading=False))
     assert names_of(log if has_gyro else replace(log, gyros=())) <= {"source_delay"}
 
 
-@pytest.mark.parametrize("name", ["speed in rev/s", "speed taken as km/h", "half of the radius"])
-@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize(
+    ("name", "has_heading"),
+    [("speed in rev/s", True), ("speed taken as km/h", False), ("half of the radius", True)],
+)
 def test_without_fixes_slow_tracks_convict_neither_gyro_nor_signs(name: str, *, has_heading: bool) -> None:
     log = replace(MISTAKES[name].inject(make_drive(has_heading=has_heading)), fixes=())
     result = check(log)
@@ -537,18 +543,12 @@ QUESTIONS: dict[
     str, tuple[Callable[[Log], Log], dict[str, Any], str]
 ] = {  # the mistake, the sensors, words of the question
     "tracks without a direction": (without_direction, {}, "without a direction"),
-    "the same without headings": (without_direction, {"has_heading": False}, "without a direction"),
-    "the same, fixes once a second": (
+    "the same without headings, fixes once a second": (
         without_direction,
         {"has_heading": False, "fix_rate": 1.0},
         "without a direction",
     ),
-    "tracks without a direction that turn on the spot": (
-        without_direction,
-        {"programme": ON_THE_SPOT},
-        "without a direction",
-    ),
-    "the same, a receiver that wanders": (
+    "turns on the spot, a receiver that wanders": (
         without_direction,
         {"programme": ON_THE_SPOT, "has_heading": False, "fix_stddev": 0.3, "fix_rate": 1.0, "wander": 2.0},
         "without a direction",
@@ -556,14 +556,8 @@ QUESTIONS: dict[
     "frozen fixes": (frozen_fixes, {}, "repeats its positions"),
     "frozen headings": (change_headings(lambda h: 0.0 * h), {}, "headings of"),
     "rates as headings": (change_headings(np.gradient), {}, "headings of"),
-    "accelerations of the gyro": (change_rates(accelerations), {}, "turns of"),
-    "the same without headings ": (change_rates(accelerations), {"has_heading": False}, "turns of"),
+    "accelerations of the gyro": (change_rates(accelerations), {"has_heading": False}, "turns of"),
     "fixes in feet": (lambda log: scaled_fixes(log, 1.0 / 0.3048), {}, "fixes in feet, or speeds"),
-    "fixes in feet, no headings": (
-        lambda log: scaled_fixes(log, 1.0 / 0.3048),
-        {"has_heading": False},
-        "fixes in feet, or speeds",
-    ),
     "radius too small, some ground loose": (
         lambda log: MISTAKES["radius too small"].inject(on_loose_ground(log)),
         {},
@@ -617,7 +611,7 @@ def test_of_two_sources_that_may_be_delayed_the_first_is_named() -> None:
         assert question.what == f"first_{k} is off by 0.50 s against one other source only"
 
 
-@pytest.mark.parametrize("late", [-0.3, 0.5, 1.0])
+@pytest.mark.parametrize("late", [-0.3, 1.0])
 def test_fixes_and_headings_of_one_late_receiver_are_one_cause(late: float) -> None:
     log = drive()
     heading = replace(log.compasses[0], name="heading", of_poses=False)

@@ -77,11 +77,6 @@ def test_setup_mistake_is_reported_and_cleared_once_corrected(
     assert causes_after(check, corrected, NAMED_S + END_S) == set()
 
 
-def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> None:
-    check = RunningCheck(parameters)
-    assert causes_after(check, measurements(make_drive(1), 0.0, (1.0, 1.0), 1.0), NAMED_S) == set()
-
-
 def test_stamps_without_fractions_are_reported(parameters: SlipEstimatorParameters) -> None:
     check = RunningCheck(parameters)
     for m in measurements(make_drive(), 0.0, (1.0, 1.0), 1.0):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adaptation of the noise of tracks, gyro and fixes to its true size; estimation of the gyro scale."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,12 @@ from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.standstill import standstill_inflation
 
 
-def run(machine: Machine, **changed: object) -> Any:
+@cache
+def run(machine: Machine) -> Any:
     """The last state, a record of ``STATE``."""
-    estimator = SlipEstimator(parameters(**changed))
+    estimator = SlipEstimator(parameters())
     estimator.process_all(drive(machine).measurements)
-    return estimator.window.best[estimator.window.count - 1]
+    return estimator.window.best[estimator.window.count - 1].copy()
 
 
 def track_error(state: Any) -> float:

@@ -122,19 +122,6 @@ def test_silence_and_jumps_do_not_depend_on_the_order_of_arrival(
     assert_same(shuffled.estimate(), ordered.estimate())
 
 
-@pytest.mark.slow
-@settings(max_examples=20)
-@given(seed=seeds)
-def test_published_stamps_increase(drive: Callable[..., Any], seed: int) -> None:
-    found = measurements(drive, "initial_pose")
-    published = [
-        e.stamp_ns for _, e in processed(SlipEstimator(parameters("initial_pose")), delayed(found, seed)) if e
-    ]
-    assert published == sorted(set(published))
-    assert set(published) <= {m.stamp_ns for m in found if isinstance(m, Sprockets)}
-    assert max(m.stamp_ns for m in found) == published[-1]
-
-
 def test_every_sprocket_sample_in_order_gives_an_estimate_at_its_stamp(drive: Callable[..., Any]) -> None:
     found = measurements(drive, "initial_pose")
     outcomes = processed(SlipEstimator(parameters("initial_pose")), found)

@@ -5,6 +5,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -76,6 +77,7 @@ BESIDE: Mapping[str, Callable[[Recording], tuple[list[Measurement], dict[str, ob
 }
 
 
+@cache
 def run(
     counts: int,
     *,

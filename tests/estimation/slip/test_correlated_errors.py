@@ -266,10 +266,9 @@ def test_wrong_start_heading_is_not_attributed_to_the_receiver(off: float) -> No
     assert errors["white"] > 0.5
 
 
-@pytest.mark.parametrize("seed", [0, 7])
-def test_receiver_errors_do_not_depend_on_the_order_of_arrival(seed: int) -> None:
-    recording = drive(Machine(duration=20.0, fix_noise=2.0, fix_stated=0.9, seed=seed))
-    assert_order_does_not_matter(parameters(), recording.measurements, latest=1.2, seed=seed)
+def test_receiver_errors_do_not_depend_on_the_order_of_arrival() -> None:
+    recording = drive(Machine(duration=20.0, fix_noise=2.0, fix_stated=0.9, seed=7))
+    assert_order_does_not_matter(parameters(), recording.measurements, latest=1.2, seed=7)
 
 
 def test_wandering_receiver_does_not_turn_the_estimate_of_gyro_and_tracks() -> None:

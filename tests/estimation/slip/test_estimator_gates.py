@@ -93,9 +93,9 @@ def on_one_ground(drive: Callable[..., Any]) -> Any:
     return drive([(10.0, 2.0, 2.0, 0.0, 0.0, 0.0), (15.0, 1.0, 2.0, *slips, 0.0)])
 
 
-def with_rates(found: list[Measurement], added: Sequence[float], begin_s: float = 20.0) -> list[Measurement]:
-    """The measurements with ``added`` rad/s on the gyro readings from ``begin_s`` on."""
-    late = [k for k, m in enumerate(found) if isinstance(m, YawRate) and m.stamp_ns > begin_s * S]
+def with_rates(found: list[Measurement], added: Sequence[float]) -> list[Measurement]:
+    """The measurements with ``added`` rad/s on the gyro readings from 20 s on."""
+    late = [k for k, m in enumerate(found) if isinstance(m, YawRate) and m.stamp_ns > 20 * S]
     of_reading = dict(zip(late, added, strict=False))
     return [
         replace(m, rate=m.rate + of_reading[k]) if isinstance(m, YawRate) and k in of_reading else m

@@ -5,20 +5,16 @@
 Tests marked ``slow`` run every case. The others run some of them, and check the scores.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, drive
 from fixtures.fault_cases.bars import Bar, bars, geometric_mean, of_group
 from fixtures.fault_cases.case import GNSS, SECOND, Group, seconds
 from fixtures.fault_cases.catalogue import CATALOGUE
 from fixtures.fault_cases.drawn_cases import with_source
-from fixtures.fault_cases.gnss_errors import KINDS, gauss_markov
-from fixtures.fault_cases.injections import INJECTIONS, blank_sprockets
+from fixtures.fault_cases.injections import INJECTIONS
 from fixtures.fault_cases.robot_cases import injected_case
 from fixtures.fault_cases.robot_logs import Compass, is_present
 from fixtures.fault_cases.running import (
@@ -27,14 +23,13 @@ from fixtures.fault_cases.running import (
     read_scores,
     score_cases,
     score_named,
-    write_scores,
 )
 from fixtures.fault_cases.scoring import Score
 from fixtures.fault_cases.scoring import score as score_case
 from fixtures.fault_cases.sensor_faults import SENSOR_FAULTS
 from fixtures.fault_cases.sweep import COMPASSES, Setting, sweep
 
-from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
+from trackslip_estimation.slip.measurements import Measurement
 from trackslip_estimation.slip.records import to_records
 
 EVENT = 20.0  # s
@@ -78,46 +73,6 @@ def test_injection_leaves_what_precedes_its_event(name: str, drawn: list[Measure
     assert same_records(before, after)
     assert not same_records(drawn, injected.measurements)
     assert [m.stamp_ns for m in injected.measurements] == sorted(m.stamp_ns for m in injected.measurements)
-
-
-def test_permanent_jump_displaces_the_true_positions_too(drawn: list[Measurement]) -> None:
-    injected = INJECTIONS["jump (2, 1) for good"].inject(drawn, EVENT, 0.03)
-    moved = [
-        after.pose - before.pose
-        for before, after in zip(drawn, injected.measurements, strict=True)
-        if isinstance(before, PoseFix) and isinstance(after, PoseFix) and seconds(before) >= EVENT
-    ]
-    assert injected.jump == (EVENT, 2.0, 1.0)
-    assert np.allclose(moved, (2.0, 1.0, 0.0))
-
-
-def test_blanked_sprockets_leave_gaps_and_all_else(drawn: list[Measurement]) -> None:
-    blanked = blank_sprockets(drawn, 1.0, seed=0)
-    steps = np.diff([seconds(m) for m in blanked if isinstance(m, Sprockets)])
-    gaps = steps[steps > 0.5]
-    assert 4 <= len(gaps) <= 9
-    assert np.all(np.abs(gaps - 1.05) < 0.06)
-    others = [m for m in drawn if not isinstance(m, Sprockets)]
-    assert same_records(others, [m for m in blanked if not isinstance(m, Sprockets)])
-
-
-def test_gauss_markov_errors_have_their_deviation_and_correlation_time() -> None:
-    errors = gauss_markov(np.arange(0.0, 20_000.0), 2.0, 30.0, np.random.default_rng(0))
-    assert errors.std() == pytest.approx(2.0, rel=0.1)
-    correlation = np.mean(errors[:-30] * errors[30:]) / np.mean(errors**2)
-    assert correlation == pytest.approx(math.exp(-1.0), abs=0.07)
-
-
-@pytest.mark.parametrize("kind", [name for name, kind in KINDS.items() if kind.group is Group.WHITE])
-def test_white_errors_have_the_stated_size(kind: str) -> None:
-    errors, stated = KINDS[kind].draw(np.arange(0.0, 2000.0), np.random.default_rng(0))
-    assert np.std(errors / stated[:, np.newaxis]) == pytest.approx(1.0, rel=0.05)
-
-
-def test_scores_survive_their_file(baseline: dict[str, Score], tmp_path: Path) -> None:
-    file = tmp_path / "scores.json"
-    write_scores(file, baseline, "a command")
-    assert read_scores(file) == baseline
 
 
 def test_bars_compare_with_the_baseline_by_ratios(baseline: dict[str, Score]) -> None:

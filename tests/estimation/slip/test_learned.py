@@ -58,9 +58,9 @@ def named(learned_: Learned | None, context: LearnedContext = CONTEXT) -> dict[s
     return {quantity.name: quantity for quantity in learned_quantities(learned_, context)}
 
 
-def random_learned(seed: int, n: int = len(CONTEXT.state_indices)) -> Learned:
+def random_learned(seed: int) -> Learned:
     """Random learned states."""
-    random = np.random.default_rng(seed)
+    random, n = np.random.default_rng(seed), len(CONTEXT.state_indices)
     root = random.standard_normal((n, n + 1))
     covariance = root @ root.T
     stddev = np.sqrt(np.diag(covariance))

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from fixtures.changes import changed
 from fixtures.records import assert_same_bits
 
 from trackslip_common.errors import InputError
@@ -120,20 +119,6 @@ def test_log_run_ends_in_the_state_of_the_estimator(
     manual = breaks["kind"][breaks["stamp_ns"] == round(5.505 * S)]
     assert manual.tolist() == [POSE]
     assert 5 < len(breaks) < 0.3 * len(run.states)
-
-
-def test_outage_gates_the_same_fixes_as_live(drive: Callable[..., Any]) -> None:
-    """Displaced fixes after an outage of 3 s are rejected until several agree."""
-    outage = changed(drive(SEGMENTS).measurements, PoseFix, lambda _: None, 1.001, 4.001)
-    found = in_order(
-        changed(outage, PoseFix, lambda m: replace(m, pose=m.pose + np.array((2.0, 2.0, 0.0))), 4.001)
-    )
-    p = parameters()
-    state, outcomes = ended(found, p)
-    run = run_of(log_of(found, p), p)
-    assert_same_bits(run.states[-1], state)
-    assert np.count_nonzero(run.updates["outcome"] == Outcome.GATED) == outcomes.count(Outcome.GATED)
-    assert outcomes.count(Outcome.GATED) >= 2
 
 
 @pytest.mark.parametrize("size", [16, 10_000])

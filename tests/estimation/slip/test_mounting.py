@@ -3,8 +3,6 @@
 """Mounting of IMUs: rotated, with missing data, and several of them."""
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import yaw_rate
-from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Outcome, YawRate
+from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.mounting import rotate, rotate_variances, rotation
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.sources import Rejection, YawRateSource
@@ -26,7 +23,6 @@ from trackslip_estimation.slip.sources import Rejection, YawRateSource
 S = 1_000_000_000
 IMU = "sources.imu_data_raw."
 ANGLES = st.floats(-math.pi, math.pi)
-MOUNTED = {f"{IMU}mounting_roll": math.pi, f"{IMU}mounting_pitch": 0.2, f"{IMU}mounting_yaw": -0.7}
 
 
 def vector(values: Any) -> Any:
@@ -115,28 +111,3 @@ def test_accelerations_marked_absent_are_unknown() -> None:
 def test_degrees_are_refused(angle: str) -> None:
     with pytest.raises(InputError, match=f"{angle}: 180.0 is out of range; accepted: >= -6.2832 and <= 6.28"):
         source(**{angle: 180.0})
-
-
-def test_rotated_imu_gives_the_same_estimate(drive: Callable[..., Any]) -> None:
-    """The IMU sends messages with all three axes."""
-    driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)]).measurements
-    back = Rotation.from_euler("ZYX", (-0.7, 0.2, math.pi)).inv()
-    imu = source(mounting_roll=math.pi, mounting_pitch=0.2, mounting_yaw=-0.7)
-    mounted = []
-    for m in driven:
-        if isinstance(m, YawRate):
-            message = imu_message(
-                back.apply((0.01, -0.02, m.rate)), back.apply((0.0, 0.0, 9.8)), (m.variance,) * 3
-            )
-            found = yaw_rate(message, m.source, imu)
-            assert isinstance(found, YawRate)
-            mounted.append(replace(found, stamp_ns=m.stamp_ns, acceleration=(math.nan,) * 3))
-        else:
-            mounted.append(m)
-    ends = []
-    for given_ in (driven, mounted):
-        estimator = SlipEstimator(load_slip_parameters({}))
-        outcomes = {estimator.process(m)[0].outcome for m in given_}
-        assert Outcome.GATED not in outcomes
-        ends.append(estimator.estimate())
-    np.testing.assert_allclose(ends[1].pose, ends[0].pose, atol=1e-9)

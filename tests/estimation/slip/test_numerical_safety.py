@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers at the limits of float64: the estimate stays finite and its covariance positive definite."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -17,10 +18,14 @@ from trackslip_estimation.slip.measurements import (
     RESET,
     Command,
     Fault,
+    HeadingFix,
     Measurement,
+    OdometryPose,
     Outcome,
     PoseFix,
+    SlipFix,
     Sprockets,
+    VelocityFix,
     YawRate,
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -121,6 +126,77 @@ def test_fix_with_one_observed_direction_is_used(degrees: float) -> None:
 )
 def test_motion_impossible_for_a_ground_vehicle_is_refused(given: Measurement, fault: Fault) -> None:
     report, _ = after_standstill(S).process(given)
+    assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
+
+
+EVERY_KIND = {
+    "heading_sources": ["heading"],
+    "odometry_sources": ["camera"],
+    "slip_sources": ["slip_seed"],
+    "velocity_sources": ["fix_velocity"],
+}
+
+
+def heading(angle: float, variance: float) -> HeadingFix:
+    return HeadingFix("heading", S + MS, angle, variance)
+
+
+def odometry(
+    position: float = 0.0, turn: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0), variance: float = 0.0
+) -> OdometryPose:
+    return OdometryPose("camera", S + MS, np.full(3, position), np.array(turn), 7, np.full((2, 3), variance))
+
+
+def seed(slips: tuple[float, float], covariance: FloatArray) -> SlipFix:
+    return SlipFix("slip_seed", S + MS, np.array(slips), covariance)
+
+
+def velocity(v: tuple[float, float], covariance: FloatArray) -> VelocityFix:
+    return VelocityFix("fix_velocity", S + MS, np.array(v), covariance)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        heading(0.0, 1e-4),
+        odometry(),
+        seed((0.0, 0.0), 1e-4 * np.eye(2)),
+        velocity((0.0, 0.0), 1e-2 * np.eye(2)),
+    ],
+)
+def test_measurement_of_any_kind_is_valid_in_its_plain_form(given: Measurement) -> None:
+    report, _ = after_standstill(S, **EVERY_KIND).process(given)
+    assert (report.fault, report.outcome is Outcome.INVALID) == (None, False)
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        (heading(math.nan, 1e-4), Fault.NOT_FINITE),
+        (heading(math.inf, 1e-4), Fault.NOT_FINITE),
+        (heading(0.1, 0.0), Fault.VARIANCE_NOT_POSITIVE),
+        (heading(0.1, -1.0), Fault.VARIANCE_NOT_POSITIVE),
+        (heading(0.1, math.nan), Fault.NOT_FINITE),
+        (odometry(position=math.nan), Fault.NOT_FINITE),
+        (odometry(turn=(0.0, 0.0, 0.0, 0.0)), Fault.NO_ROTATION),
+        (odometry(turn=(0.0, 0.0, 0.0, 1.2)), Fault.NO_ROTATION),
+        (odometry(variance=-1e-6), Fault.VARIANCE_NOT_POSITIVE),
+        (odometry(variance=math.nan), Fault.NOT_FINITE),
+        (seed((math.nan, 0.0), np.eye(2)), Fault.NOT_FINITE),
+        (seed((0.0, math.inf), np.eye(2)), Fault.NOT_FINITE),
+        (seed((0.0, 0.0), np.full((2, 2), math.nan)), Fault.NOT_FINITE),
+        (seed((0.0, 0.0), np.zeros((2, 2))), Fault.VARIANCE_NOT_POSITIVE),
+        (seed((0.0, 0.0), -np.eye(2)), Fault.VARIANCE_NOT_POSITIVE),
+        (seed((0.0, 0.0), np.array(((1.0, 2.0), (2.0, 1.0)))), Fault.COVARIANCE_INDEFINITE),
+        (velocity((math.nan, 0.0), np.eye(2)), Fault.NOT_FINITE),
+        (velocity((200.0, 0.0), np.eye(2)), Fault.OUT_OF_RANGE),
+        (velocity((0.0, 0.0), np.zeros((2, 2))), Fault.VARIANCE_NOT_POSITIVE),
+        (velocity((0.0, 0.0), np.diag((1.0, 1e6))), Fault.VARIANCE_OUT_OF_RANGE),
+        (velocity((0.0, 0.0), np.ones((2, 2))), Fault.COVARIANCE_NEARLY_SINGULAR),
+    ],
+)
+def test_malformed_measurement_of_any_kind_is_refused_by_name(given: Measurement, fault: Fault) -> None:
+    report, _ = after_standstill(S, **EVERY_KIND).process(given)
     assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
 
 

@@ -188,11 +188,6 @@ def test_spot_turn_and_reverse_move_the_pose_as_computed_by_hand() -> None:
     np.testing.assert_allclose(x[POSE_SLICE], (-0.159, 0.0, 0.0))
 
 
-def test_heading_stays_within_a_turn() -> None:
-    x = move(state(yaw=3.1), -1.0, 1.0, 1.0)
-    assert x[YAW] == pytest.approx(3.1 + 2 * 0.159 / 0.73 - 2 * math.pi)
-
-
 @given(states, speeds, speeds)
 def test_midpoint_step_matches_fine_steps(x: FloatArray, left: float, right: float) -> None:
     """Error of the chord: v dt (φ̇ dt)²/24 (1 + tan α …); that of an Euler step is v dt φ̇ dt/2."""
@@ -205,14 +200,6 @@ def test_midpoint_step_matches_fine_steps(x: FloatArray, left: float, right: flo
     bound = math.hypot(v_x, v_y) * dt * (rate * dt) ** 2 / 24.0
     assert math.hypot(*(once - fine)[:2]) <= 1.01 * bound + 1e-12
     assert wrap(once[YAW] - fine[YAW]) == pytest.approx(0.0, abs=1e-12)
-
-
-@given(states, speeds, speeds)
-def test_step_of_zero_duration_changes_nothing(x: FloatArray, left: float, right: float) -> None:
-    np.testing.assert_allclose(move(x, left, right, 0.0)[POSE_SLICE][:2], x[POSE_SLICE][:2])
-    still = Drive(left, right)
-    np.testing.assert_array_equal(filter_steps.transition(x, still, 0.0, CONFIG), np.eye(SIZE))
-    np.testing.assert_array_equal(process_noise(x, NOTHING, still, 0.0, CONFIG), 0.0)
 
 
 @given(states, speeds, speeds, times)

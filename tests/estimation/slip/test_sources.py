@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.filter_steps import Gaussian, config_of, differences
+from fixtures.filter_steps import config_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
-from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.observations.pose import is_heading_used
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
@@ -29,41 +27,6 @@ FLOORS = {
     "sources.box_pose.heading_floor": 0.001,
     "sources.box_pose.heading_ceiling": 0.3,
 }
-
-
-def state(seed: int = 0) -> Gaussian:
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(SIZE, SIZE))
-    return Gaussian(rng.normal(size=SIZE), root @ root.T * 0.01)
-
-
-def at_sensor(known: Gaussian, sign: float = 1.0, lever: tuple[float, float] = LEVER) -> Gaussian:
-    moved = Gaussian(known.mean.copy(), known.covariance.copy())
-    arm = {f"sources.box_pose.lever_arm_{axis}": value for axis, value in zip("xy", lever, strict=True)}
-    c, level = config_of(arm)[0], np.zeros(1, STATE)[0]["attitude"]["level"]
-    to_sensor(*moved, level, 0, sign, c)
-    return moved
-
-
-def sensor_pose(x: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    c, s = np.cos(x[2]), np.sin(x[2])
-    return np.concatenate((x[:2] + np.array(((c, -s), (s, c))) @ LEVER, x[2:]))
-
-
-def test_the_derivative_of_the_lever_arm_is_that_of_its_formula() -> None:
-    start = state()
-    T = differences(sensor_pose, start.mean)
-    moved = at_sensor(start)
-    np.testing.assert_allclose(moved.mean, sensor_pose(start.mean), atol=1e-12)
-    np.testing.assert_allclose(moved.covariance, T @ start.covariance @ T.T, atol=1e-8)
-
-
-def test_lever_arm_transformation_is_invertible() -> None:
-    start = state(1)
-    back = at_sensor(at_sensor(start), -1.0)
-    np.testing.assert_allclose(back.mean, start.mean, atol=1e-12)
-    np.testing.assert_allclose(back.covariance, start.covariance, atol=1e-12)
-    np.testing.assert_array_equal(at_sensor(start, 1.0, (0.0, 0.0)).covariance, start.covariance)
 
 
 def displaced(found: list[Measurement], truth: dict[int, Any]) -> list[Measurement]:

@@ -19,7 +19,6 @@ from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import velocity_fix
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import (
-    Fault,
     Measurement,
     Outcome,
     Sprockets,
@@ -172,28 +171,9 @@ def test_single_wrong_velocity_is_gated() -> None:
     assert np.abs(found[-1, [1, 3]] - clean[-1, [1, 3]]).max() < 0.01
 
 
-@pytest.mark.parametrize(
-    ("velocity", "R", "fault"),
-    [
-        ((math.nan, 0.0), np.eye(2), Fault.NOT_FINITE),
-        ((200.0, 0.0), np.eye(2), Fault.OUT_OF_RANGE),
-        ((0.0, 0.0), np.zeros((2, 2)), Fault.VARIANCE_NOT_POSITIVE),
-        ((0.0, 0.0), np.diag((1.0, 1e6)), Fault.VARIANCE_OUT_OF_RANGE),
-        ((0.0, 0.0), np.ones((2, 2)), Fault.COVARIANCE_NEARLY_SINGULAR),
-    ],
-)
-def test_invalid_velocities_are_refused(velocity: Any, R: FloatArray, fault: Fault) -> None:
-    truth, estimator = drive(duration=3.0), SlipEstimator(with_velocities())
-    for m in truth.measurements:
-        estimator.process(m)
-    report, _ = estimator.process(VelocityFix(SOURCE, 4 * S + 1, np.array(velocity), R))
-    assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_order_of_arrival_does_not_matter(seed: int) -> None:
+def test_order_of_arrival_does_not_matter() -> None:
     p = with_velocities(history_window=2.0)
-    assert_order_does_not_matter(p, drive(duration=12.0).measurements, latest=1.5, seed=seed)
+    assert_order_does_not_matter(p, drive(duration=12.0).measurements, latest=1.5)
 
 
 def message(velocity: tuple[float, float], variances: tuple[float, float], stamp_ns: int = 5 * S) -> Any:
