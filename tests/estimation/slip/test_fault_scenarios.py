@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, YawRate
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 BEGIN = 25.0  # s, since the first stamp
@@ -109,6 +109,53 @@ def test_gyro_spikes(log: Log) -> None:
     found = run(log, changed(log, YawRate, BEGIN + 3.0, loose))
     assert set(found.counts) == {("imu/data_raw", "GATED")}
     assert found.during(BEGIN + 3.0) < GOOD
+
+
+def test_stuck_encoder(log: Log) -> None:
+    """The left encoder reports standstill for 5 s while its track drives.
+
+    With a small yaw rate and a turn about one track, the speed seems to be zero: 1.6 m of error. Fixes
+    bound the error.
+    """
+    stuck: list[float] = []
+
+    def hold(m: Sprockets) -> Sprockets:
+        assert m.positions is not None
+        stuck.append(m.positions[0])
+        return replace(m, positions=(stuck[0], m.positions[1]), left_speed=0.0)
+
+    found = run(log, changed(log, Sprockets, BEGIN + 5.0, hold))
+    assert found.counts["sprockets", "JUMPED"] == 1  # when the encoder works again
+    assert found.during(BEGIN + 5.0) < 1.3
+    assert found.recovery(BEGIN + 5.0) < 15.0
+
+
+def test_gyro_with_its_sign_flipped(log: Log) -> None:
+    """Heading is wrong in turns, fixes keep the position; the parameter ``sign`` restores the estimate."""
+    flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in log.measurements]
+    wrong = run(log, flipped)
+    assert wrong.position[wrong.seconds > 5.0].max() < 0.12
+    assert 0.03 < np.abs(wrong.errors[:, 2]).max() < 0.35
+    cured, right = run(log, flipped, **{"sources.imu_data_raw.sign": -1}), run(log, log.measurements)
+    np.testing.assert_array_equal(cured.errors, right.errors)
+
+
+@pytest.mark.parametrize("kind", [YawRate, PoseFix])
+def test_outage(log: Log, kind: type) -> None:
+    """10 s without gyro or without fixes."""
+    found = run(log, changed(log, kind, BEGIN + 10.0, lambda _: None))
+    assert found.counts == {}
+    assert found.during(BEGIN + 10.0) < (GOOD if kind is YawRate else 0.15)
+    assert found.recovery(BEGIN + 10.0) < 0.5
+
+
+def test_everything_silent(log: Log) -> None:
+    """All sources are silent for 10 s; the first fixes after it restore the pose."""
+    end = BEGIN + 10.0
+    given = [m for m in log.measurements if not BEGIN <= seconds_of(log, m) < end]
+    found = run(log, given)
+    assert found.counts["sprockets", "AHEAD"] == 19  # until the new time is accepted
+    assert found.recovery(end) < 1.0
 
 
 @pytest.mark.parametrize("start", [12.0, 16.0, 27.0])

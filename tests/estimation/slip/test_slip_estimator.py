@@ -170,12 +170,36 @@ def test_configured_start_is_the_first_estimate(thesis_parameters: ParametersFac
     np.testing.assert_allclose(np.diag(estimate.pose_covariance), (0.0009, 0.0009, 0.01))
 
 
+def test_positions_override_speeds(drive: Callable[..., Any], thesis_run: Run) -> None:
+    found = drive([(3.0, 2.0, 2.0, 0.0, 0.0, 0.0)], fix_every=10**9).measurements
+    lying = [replace(m, left_speed=7.0, right_speed=-3.0) if isinstance(m, Sprockets) else m for m in found]
+    last = thesis_run([m for m in lying if not isinstance(m, PoseFix)]).estimates[-1]
+    np.testing.assert_allclose(last.pose, (0.159 * 2.0 * 3.0, 0.0, 0.0), atol=0.01)
+    assert last.outputs.twist[0] == pytest.approx(0.318, abs=1e-3)
+
+
 def test_slips_keep_their_prior_at_standstill_from_the_start(
     drive: Callable[..., Any], thesis_run: Run
 ) -> None:
     last = thesis_run(drive([(5.0, 0.0, 0.0, 0.0, 0.0, 0.0)]).measurements).estimates[-1]
     np.testing.assert_allclose(last.outputs.slips, 0.0, atol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(last.outputs.slip_covariance)), (0.1, 0.1, 0.01), rtol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["turning", "free_slips"])
+def test_covariances_stay_symmetric_and_positive(
+    drive: Callable[..., Any], model: str, thesis_run: Run
+) -> None:
+    segments = [
+        (3.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (5.0, 2.0, 2.0, 0.1, 0.1, 0.0),
+        (5.0, -1.0, 1.0, 0.3, 0.3, 0.1),
+    ]
+    for e in thesis_run(drive(segments, seed=3).measurements, model=model).estimates:
+        for P in (e.pose_covariance, e.outputs.slip_covariance, e.outputs.twist_covariance):
+            np.testing.assert_allclose(P, P.T, atol=1e-12)
+            assert np.linalg.eigvalsh(P)[0] > -1e-12
+        assert np.linalg.eigvalsh(e.pose_covariance)[0] > 0.0
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
