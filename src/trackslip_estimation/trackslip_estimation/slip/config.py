@@ -96,9 +96,7 @@ class Config(Record):
     measures_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether the source measures swing angles
     velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
     body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether velocities are along the sensor's axes
-    repeat_times: Annotated[
-        FloatArray, MOST_SOURCES
-    ]  # of fixes by a laser on the upper structure, s
+    repeat_times: Annotated[FloatArray, MOST_SOURCES]  # of fixes by a laser on the upper structure, s
     standing_share: Annotated[FloatArray, MOST_SOURCES]
     events: EventParameters
     bank: BankParameters
