@@ -22,7 +22,7 @@ _STILL = 1e-4  # extent of the fixes, share of the distance: no path is so narro
 _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the distance
 _LONGEST_HOLD = 5.0  # s for which a log may hold the last fix
-_LEAST_RATIO = 0.02  # share of the distance: 0.017 of radians that are taken for degrees, 0.025 of a gear of 40
+_LEAST_RATIO = 0.018  # share of the distance: radians taken for degrees are 0.0175, less by slip
 _RELATED, _UNRELATED = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
 _ROUNDING = 1e-9  # m
@@ -49,7 +49,7 @@ def judge_fixes(drive: Drive) -> list[Finding]:
         what += "a receiver that is frozen, or another column"
         needed = "watch the live positions while the machine drives"
         return [OpenQuestion(what, needed, is_wrong=True)]
-    if (ratio := _wrong_unit_ratio(drive, distance)) > 0.0:
+    if (ratio := _wrong_unit_ratio(drive)) > 0.0:
         evidence = (
             f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
@@ -69,13 +69,15 @@ def judge_fixes(drive: Drive) -> list[Finding]:
     return [Cause("frame", name, evidence, READ_OFF, remedy)]
 
 
-def _wrong_unit_ratio(drive: Drive, distance: float) -> float:
+def _wrong_unit_ratio(drive: Drive) -> float:
     """Distance of fixes in another unit over that by the tracks; 0 for fixes in m, and for constant ones."""
-    speeds = np.abs(drive.tracks_over_tread).max(axis=1) * drive.machine.tread / WINDOW
+    by_tracks = np.abs(drive.tracks_over_tread).max(axis=1) * drive.machine.tread
     share, windows = explained_distance(drive)
-    ratio = float(np.nansum(drive.fix_distances)) / distance
-    is_other = ratio < _LEAST_RATIO and share > _RELATED and float(np.nanpercentile(speeds, 95)) < FASTEST
-    return ratio if is_other and windows >= _LEAST_WINDOWS else 0.0
+    is_fixed = np.isfinite(drive.fix_distances) & np.isfinite(by_tracks)
+    if windows < _LEAST_WINDOWS or share < _RELATED or np.nanpercentile(by_tracks, 95) > FASTEST * WINDOW:
+        return 0.0
+    ratio = float(drive.fix_distances[is_fixed].sum() / by_tracks[is_fixed].sum())
+    return ratio if ratio < _LEAST_RATIO else 0.0
 
 
 def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
