@@ -154,6 +154,16 @@ def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance_until
         assert recovered.mu_r == pytest.approx(0.2, rel=0.05)
 
 
+def test_resistance_is_known_no_better_than_the_slope_where_nothing_measures_the_tilt() -> None:
+    def without_tilt(one: SoilInput) -> SoilInput:
+        return replace(one, tilt_variance=(math.inf, math.inf)) if isinstance(one, MachineState) else one
+
+    outputs = run([without_tilt(one) for one in inputs_of()], SoilEstimator(P))
+    stddevs = [math.sqrt(one.mu_r_variance) for one in outputs if isinstance(one, SoilState)]
+    assert min(stddevs) > P.load.unknown_slope
+    assert math.sqrt(at(ordinary()[1], SoilState, 9.0).mu_r_variance) < P.load.unknown_slope / 3.0
+
+
 def test_outputs_come_on_the_grids_of_their_periods() -> None:
     _, outputs = ordinary()
     for kind, period in ((TrackForces, P.forces_period), (SoilState, P.soil_period)):

@@ -55,7 +55,7 @@ def machine_state(message: Any) -> MachineState:
         (m.roll, m.pitch) if has_attitude else (0.0, 0.0),
         (float(m.attitude_covariance[0, 0]), float(m.attitude_covariance[1, 1]))
         if has_attitude
-        else (0.0, 0.0),
+        else (math.inf, math.inf),
         m.swing if has_swing else 0.0,
         float(m.swing_covariance[0, 0]) if has_swing else math.inf,
     )

@@ -84,6 +84,9 @@ class LoadParameters(Parameters):
 
     friction_share: float = parameter("share of friction in F_max, γ", ge=0.0, le=1.0)
     friction_share_stddev: float = parameter("standard deviation of γ", ge=0.0, le=1.0)
+    unknown_slope: float = parameter(
+        "standard deviation of the ground's slope along each axis where no IMU measures the tilt", ge=0.0
+    )
     level_share: float = parameter(
         "ratio of pull to weight up to which pressures at standstill are offsets", gt=0.0, le=1.0
     )
@@ -168,15 +171,15 @@ def set_ground_load(load: GroundLoad, centre: GravityCentre, sample: Sample, p: 
     roll, pitch = sample.tilt[0], sample.tilt[1]
     weight, down = vehicle.mass * GRAVITY, math.cos(pitch) * math.cos(roll)
     load.pull = weight * math.sin(pitch)
-    load.pull_variance = (weight * math.cos(pitch)) ** 2 * sample.tilt_variance[1]
+    roll_variance = min(sample.tilt_variance[0], p.load.unknown_slope**2)
+    pitch_variance = min(sample.tilt_variance[1], p.load.unknown_slope**2)
+    load.pull_variance = (weight * math.cos(pitch)) ** 2 * pitch_variance
     swung = _swing_centre(centre, sample)
     x_N = swung.x + centre.height * math.tan(pitch) / math.cos(roll)
     y_N = swung.y - centre.height * math.tan(roll)
-    offset_variance = (
-        centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
-    )
+    offset_variance = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * roll_variance
     load.stretch = 1.0 / math.cos(pitch)
-    load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
+    load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(pitch_variance)
     load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
     load.lean_stddev = friction * 12.0 * math.sqrt(swung.x_variance) / vehicle.contact_length**2
     per_offset = (2.0 * down * friction / vehicle.tread) ** 2

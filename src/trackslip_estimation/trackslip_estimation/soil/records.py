@@ -37,7 +37,7 @@ class InputValues(Record):
     pose: Annotated[FloatArray, 3]  # x m, y m, heading rad
     pose_covariance: Annotated[FloatArray, (3, 3)]
     tilt: Annotated[FloatArray, 2]  # roll, pitch (nose down > 0), rad; 0 (level ground) if unknown
-    tilt_variance: Annotated[FloatArray, 2]
+    tilt_variance: Annotated[FloatArray, 2]  # rad²; infinite if unknown
     slips: Annotated[FloatArray, 3]  # left, right, slip angle rad
     motion: int
     swing: float  # angle of the upper structure, rad
@@ -124,7 +124,7 @@ class MachineState:
     slips: FloatArray  # (3,) left, right, slip angle rad; uncertainty: see the twist
     motion: Motion
     tilt: tuple[float, float] = (0.0, 0.0)  # roll, pitch (nose down > 0), rad
-    tilt_variance: tuple[float, float] = (0.0, 0.0)
+    tilt_variance: tuple[float, float] = (0.0, 0.0)  # rad², infinite if unknown
     swing: float = 0.0  # angle of the upper structure against the undercarriage, counter-clockwise, rad
     swing_variance: float = math.inf  # rad², infinite if unknown
     source: str = MACHINE_STATE
@@ -150,7 +150,7 @@ def inputs_from_estimates(estimates: NDArray[np.void]) -> Table[SoilInputRecord]
     has_tilt, has_swing = tilt["known"] == 1, swing["known"] == 1
     variances = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
     inputs["tilt"] = np.where(has_tilt[:, np.newaxis], tilt["tilt"][:, :2], 0.0)
-    inputs["tilt_variance"] = np.where(has_tilt[:, np.newaxis], variances, 0.0)
+    inputs["tilt_variance"] = np.where(has_tilt[:, np.newaxis], variances, math.inf)
     inputs["swing"] = np.where(has_swing, swing["angle"], 0.0)
     inputs["swing_variance"] = np.where(has_swing, swing["covariance"][:, 0, 0], math.inf)
     return inputs
@@ -219,7 +219,8 @@ def check_input(record: SoilInputRecord) -> int:
             fault = _worse_result(fault, _check_number(P[k, j], _LARGEST_POSE_VARIANCE))
     for k in range(2):
         fault = _worse_result(fault, _check_number(record.tilt[k], _STEEPEST))
-        fault = _worse_result(fault, _check_variance(record.tilt_variance[k], _LARGEST_TILT_VARIANCE))
+        if record.tilt_variance[k] != math.inf:
+            fault = _worse_result(fault, _check_variance(record.tilt_variance[k], _LARGEST_TILT_VARIANCE))
     if fault == ACCEPTED and not is_covariance_compiled(C):
         return INVALID
     return fault
