@@ -64,6 +64,7 @@ class PressureFault(Enum):
     _WRONG_SIGN,
     _SWAPPED,
 ) = range(11)
+_NOT_ZERO = 5.0  # times the largest reading that counts as zero: beyond it a reading is a pressure
 NO_FAULT = -1
 _RIGHT_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
@@ -168,7 +169,7 @@ def _stuck_evidence(
         return _OPEN
     if is_equal or (is_straight and abs(reading) <= p.zero_share * other):
         return _FOR
-    if abs(reading) > 5.0 * p.zero_share * other:
+    if abs(reading) > _NOT_ZERO * p.zero_share * other:
         watch.seconds[fault] = 0.0  # a changed reading refutes the fault
     return _OPEN
 
