@@ -94,7 +94,7 @@ def _process_pool(count: int, shared: Any) -> Iterator[Map]:
 
 
 def _compile_kernels() -> None:
-    """Compile by a step of each estimator that calls all kernels; fast if they are cached."""
+    """Compile both estimators by a step of each, so that workers find them compiled; fast if they are."""
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}))
     samples = [Sprockets("sprockets", k * 10_000_000, 1.0, 1.0, (0.01 * k, 0.01 * k)) for k in range(3)]
     estimator.process_records(to_records(samples, estimator.sources))
