@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.script import record_event
-from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED
+from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED, TURNED
 from trackslip_estimation.slip.models.model import X, Y
 from trackslip_estimation.slip.records import HISTORY, OLDER, POSE
 from trackslip_estimation.slip.source_faults import unknown_position_stddev
@@ -114,6 +114,14 @@ def add_child(
     e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
     update.event = event
     update.reset_states = apply_event(state, e, c)
+
+
+@compiled
+def add_sector_event(window: Window, h: int, source: int, part: int, k: int, c: Config) -> None:
+    """Restrict the heading of child h of the pool to a sector of the circle, from its first step on."""
+    branch, update, m = window.pool_branches[h], window.pool_updates[h], window.measurements[k]
+    e = record_event(branch, TURNED, source, part, 0.0, m, window.measurements[branch.first], 0)
+    update.reset_states |= apply_event(window.pool_states[h], e, c)
 
 
 @compiled

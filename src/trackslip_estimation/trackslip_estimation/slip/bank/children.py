@@ -23,6 +23,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_earlier_children,
     make_failed_unit_child,
     make_failure_children,
+    make_recovered_sector_children,
     make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
@@ -31,8 +32,10 @@ from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
 from trackslip_estimation.slip.events import (
     BECAME_JUMP,
     BIASED,
+    FAILED,
     HEADING_OFF,
     HEADING_WANDERS,
+    HIDDEN,
     LATE,
     MEASURED,
     MOVED,
@@ -48,6 +51,7 @@ from trackslip_estimation.slip.events import (
     TURNED,
 )
 from trackslip_estimation.slip.late_stamps import log_odds_of_delay
+from trackslip_estimation.slip.levers import is_heading_unknown
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
@@ -105,10 +109,6 @@ def create_children(window: Window, k: int, c: Config) -> int:
         _subtract_fault_costs(window, s, k, c)
     needs_children = [_needs_children(window, s, k, c) for s in range(count)]
     if count == 1 and not needs_children[0]:
-        branch = window.branches[0, k]
-        for snapshot in branch.snapshots:
-            snapshot.weight -= branch.weight
-        branch.weight = 0.0
         return 1
     copy_row_to_pool(window, k)
     parents = [p for p in range(count) if needs_children[p]]
@@ -153,7 +153,8 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     if fault != IS_HEALTHY:
         branch.weight -= elapsed_s / c.events.fault_time
     for unit in range(MOST_SOURCES):
-        if measurement.kind in (POSE, VELOCITY) and is_failed(state.fault[unit]):
+        is_weighed = measurement.kind in (POSE, VELOCITY) and _can_recover(state, unit, c)
+        if is_weighed and is_failed(state.fault[unit]):
             branch.weight -= elapsed_s / c.events.fault_time
     periods = min(elapsed_s / PERIOD, 1.0)
     slip_cost = slip_range_penalty(state, c) * periods
@@ -257,6 +258,9 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
         odds = log_odds_of_hidden_change(window, p, k, event, c)
         if odds > -c.bank.spawns:
             add_child(window, p, k, event, source, 0, False, odds, c)
+    failed = log_odds_of_hidden_change(window, p, k, FAILED, c)
+    if failed > -c.bank.spawns:
+        add_child(window, p, k, FAILED, TRACKS, HIDDEN, True, failed, c)
     late = _log_odds_of_stamp_delay(m, before, c)
     if late > 0.0:
         add_child(window, p, k, LATE, source, 0, False, late, c)
@@ -323,8 +327,18 @@ def _make_unit_recovery_children(window: Window, p: int, k: int, c: Config) -> N
     for unit in range(MOST_SOURCES):
         if window.measurements[k].kind not in (POSE, VELOCITY) or not is_failed(before.fault[unit]):
             continue
-        if unit != TRACKS or not shows_standstill(before.sample, c):  # failed encoders often show 0
+        if not _can_recover(before, unit, c):
+            continue
+        if unit == TRACKS and is_heading_unknown(before):
+            make_recovered_sector_children(window, p, k, c)
+        else:
             add_child_since_snapshot(window, p, k, RECOVERED, unit, 0, 0.0, c)
+
+
+@compiled
+def _can_recover(state: State, unit: int, c: Config) -> bool:
+    """Whether a failed unit may measure the motion again: failed encoders often show 0."""
+    return unit != TRACKS or not shows_standstill(state.sample, c)
 
 
 @compiled

@@ -11,6 +11,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import (
     add_child,
     add_child_since_snapshot,
+    add_sector_event,
     distance_since_snapshot,
     log_time_since_snapshot,
 )
@@ -25,6 +26,7 @@ from trackslip_estimation.slip.events import (
     LOST,
     NOISE,
     OFFSET,
+    RECOVERED,
     REPEATS,
     REVERSED,
     SLID,
@@ -119,6 +121,20 @@ def make_sector_children(
         for part in range(HEADINGS):  # the reversed machine has not had the slip that cost the parent
             log_prior = max(prior, min(prior + cost, 0.0)) if part == REVERSED else prior
             add_child(window, p, k, TURNED, source, part, True, log_prior, c)
+
+
+@compiled
+def make_recovered_sector_children(window: Window, p: int, k: int, c: Config) -> None:
+    """Add children of p in which failed sprockets measure the motion again, with a heading in each sector.
+
+    The heading is unknown, and the motion that they measure depends on it.
+    """
+    source = window.measurements[k].source
+    for part in range(HEADINGS):
+        count = window.status[0].pooled
+        add_child_since_snapshot(window, p, k, RECOVERED, TRACKS, 0, -_LOG_SECTORS, c)
+        if window.status[0].pooled > count:
+            add_sector_event(window, count, source, part, k, c)
 
 
 @compiled

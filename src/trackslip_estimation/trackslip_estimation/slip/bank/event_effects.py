@@ -21,6 +21,7 @@ from trackslip_estimation.slip.events import (
     HEADING_OFF,
     HEADING_WANDERS,
     HEADINGS,
+    HIDDEN,
     LATE,
     LOST,
     MEASURED,
@@ -288,6 +289,8 @@ def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: 
         return _reset_state(state, COMMON_SLIP, -1.0, opened, c)
     elif e.source == TRACKS and previous_fault == IS_MISCOUNTING:
         return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
+    elif e.source == TRACKS and e.part == HIDDEN:
+        return _reset_sector(state, c) | _move_offset_to_position(state, latest_pose_source(state, c), c)
     elif e.source == TRACKS:
         return _reset_sector(state, c)
     return 0

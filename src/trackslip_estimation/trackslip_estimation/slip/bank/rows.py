@@ -56,7 +56,7 @@ from trackslip_estimation.slip.window import Window, is_weighed, next_sample, pr
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import State
+    from trackslip_estimation.slip.records import Branch, State
 
 
 @inlined
@@ -198,7 +198,17 @@ def prune_row(window: Window, k: int, total: int, c: Config) -> None:
                 state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0
         merge_similar_branches(window, total, c)
         fill_row_from_pool(window, k, total, c)
+    else:
+        _normalize_sole_branch(window.branches[0, k])
     _move_snapshots(window, k, c)
+
+
+@compiled
+def _normalize_sole_branch(branch: Branch) -> None:
+    """Set the weight of the only branch of a row to 0."""
+    for snapshot in branch.snapshots:
+        snapshot.weight -= branch.weight
+    branch.weight = 0.0
 
 
 @compiled
