@@ -223,16 +223,16 @@ def make_failed_unit_child(window: Window, p: int, k: int, unit: int, penalty: f
 def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> bool:
     """Whether measurement k can show to branch p that a unit fails; with an infinite gate everything is used.
 
-    Only sensors on the upper structure show that the swing brake fails. While the heading is unknown, nothing
-    shows a failure, as a wrong heading explains the same fixes, unless these show a longer displacement than
-    the sprockets: it has the same length at any heading.
+    Only sensors on the upper structure show that the swing brake fails. While the heading is unknown, no fix
+    or velocity shows a failure, as a wrong heading explains the same ones, unless fixes show a longer
+    displacement than the sprockets: it has the same length at any heading.
     """
-    before, source = window.states[p, k - 1], window.measurements[k].source
+    before, m = window.states[p, k - 1], window.measurements[k]
     if math.isinf(c.gate_limits[1]):
         return False
-    if unit == BRAKE and not (is_swing_braked(before) and c.above[source] == 1):
+    if unit == BRAKE and not (is_swing_braked(before) and c.above[m.source] == 1):
         return False
-    is_unknown = is_heading_undetermined(before)
+    is_unknown = m.kind in (POSE, VELOCITY) and is_heading_undetermined(before)
     return bool(not is_unknown or (unit == TRACKS and _is_farther_than_tracks(window, p, k, c)))
 
 
