@@ -62,6 +62,7 @@ from trackslip_estimation.slip.records import (
     GYROS,
     HEADING,
     MOST_SOURCES,
+    OLDER,
     ON_SWING,
     POSE,
     SLIPS,
@@ -112,16 +113,34 @@ def create_children(window: Window, k: int, c: Config) -> int:
         return 1
     copy_row_to_pool(window, k)
     parents = [p for p in range(count) if needs_children[p]]
+    comes_first = len(parents) > 0 and _are_sectors_due(window, k)
+    if comes_first:
+        _make_sector_children(window, parents[0], k, c)
     for p in parents:
         _make_children(window, p, k, c)
-    for p in parents:  # last, as they take the most time
-        if not _is_likely(window, p, k, c):
-            continue
-        if _can_have_earlier_event(window, p, k, c):
-            implausible = _is_slip_implausible(window, p, k, c)
-            make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
-        window.pool_branches[p].cusum[:] = 0.0
+    for p in parents[1:] if comes_first else parents:
+        _make_sector_children(window, p, k, c)
+    for p in parents:
+        if _is_likely(window, p, k, c):
+            window.pool_branches[p].cusum[:] = 0.0
     return int(window.status[0].pooled)
+
+
+@compiled
+def _are_sectors_due(window: Window, k: int) -> bool:
+    """Whether the children by sector of the first parent come first at fix k: at every other one.
+
+    They repeat so many steps that little is left for others. With many parents nothing is left for them.
+    """
+    return bool(window.branches[0, k - 1].snapshots[OLDER].fixes % 2 == 1)
+
+
+@compiled
+def _make_sector_children(window: Window, p: int, k: int, c: Config) -> None:
+    """Add the children of branch p with the heading or the swing angle in each sector, if it is likely."""
+    if _is_likely(window, p, k, c) and _can_have_earlier_event(window, p, k, c):
+        implausible = _is_slip_implausible(window, p, k, c)
+        make_sector_children(window, p, k, _is_contradicted(window, p, k, c), implausible, c)
 
 
 @compiled
@@ -329,9 +348,9 @@ def _make_unit_recovery_children(window: Window, p: int, k: int, c: Config) -> N
             continue
         if not _can_recover(before, unit, c):
             continue
-        if unit == TRACKS and is_heading_unknown(before):
+        if unit == TRACKS:
             make_recovered_sector_children(window, p, k, c)
-        else:
+        if unit != TRACKS or not is_heading_unknown(before):
             add_child_since_snapshot(window, p, k, RECOVERED, unit, 0, 0.0, c)
 
 

@@ -125,12 +125,14 @@ def make_sector_children(
 
 @compiled
 def make_recovered_sector_children(window: Window, p: int, k: int, c: Config) -> None:
-    """Add children of p in which failed sprockets measure the motion again, with a heading in each sector.
+    """Add children of p in which failed sprockets measure the motion again, with another heading.
 
-    The heading is unknown, and the motion that they measure depends on it.
+    Fixes alone show the course, not whether the machine drives ahead. An unknown heading is in each sector.
     """
-    source = window.measurements[k].source
+    source, is_unknown = window.measurements[k].source, is_heading_unknown(window.states[p, k - 1])
     for part in range(HEADINGS):
+        if not (is_unknown or part == REVERSED):
+            continue
         count = window.status[0].pooled
         add_child_since_snapshot(window, p, k, RECOVERED, TRACKS, 0, -_LOG_SECTORS, c)
         if window.status[0].pooled > count:
