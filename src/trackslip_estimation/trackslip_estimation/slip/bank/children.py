@@ -113,7 +113,7 @@ def create_children(window: Window, k: int, c: Config) -> int:
         return 1
     copy_row_to_pool(window, k)
     parents = [p for p in range(count) if needs_children[p]]
-    comes_first = len(parents) > 0 and _are_sectors_due(window, k)
+    comes_first = len(parents) > 0 and _are_sectors_due(window, k, c)
     if comes_first:
         _make_sector_children(window, parents[0], k, c)
     for p in parents:
@@ -127,12 +127,13 @@ def create_children(window: Window, k: int, c: Config) -> int:
 
 
 @compiled
-def _are_sectors_due(window: Window, k: int) -> bool:
-    """Whether the children by sector of the first parent come first at fix k: at every other one.
+def _are_sectors_due(window: Window, k: int, c: Config) -> bool:
+    """Whether the children by sector of the first parent come first: at every other fix without explanation.
 
     They repeat so many steps that little is left for others. With many parents nothing is left for them.
     """
-    return bool(window.branches[0, k - 1].snapshots[OLDER].fixes % 2 == 1)
+    fixes = window.branches[0, k - 1].snapshots[OLDER].fixes
+    return bool(fixes >= c.bank.look_back / 2.0 and fixes % 2 == 1)
 
 
 @compiled
@@ -380,7 +381,7 @@ def _make_jump_children(window: Window, p: int, k: int, c: Config) -> None:
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, size = m.source, _log_odds_of_any_size(m, before, c)
     if is_trusted(before.fault[source], POSE):
-        if update.outcome != _GATED:
+        if update.outcome != _GATED and before.fault[source] == IS_HEALTHY:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         if before.sole_fix_source != source:
             add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)
