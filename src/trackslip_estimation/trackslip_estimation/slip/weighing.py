@@ -152,8 +152,9 @@ def _update_heading_only(
     """Update the heading with a fix whose position wanders; two antennas measure it independently."""
     S = predicted[YAW, YAW] + o.noise[YAW, YAW]
     nis = o.innovation[YAW] ** 2 / S
-    if nis > c.gate_limits[1]:
+    if nis > c.gate_limits[1]:  # it contradicts the branch
         update.evidence -= _LOG_TWO_PI
+        update.nis, update.dof, update.gate = nis, 1, c.gate_limits[1]
         return
     update.evidence -= (nis + math.log(S) + _LOG_TWO_PI) / 2.0
     R, x = o.noise[YAW:, YAW:].copy(), state.mean[: c.size]
