@@ -100,9 +100,10 @@ def has_staying_fixes(state: State) -> bool:
 
 @compiled
 def are_sources_consistent(state: State) -> bool:
-    """Whether the latest fix, angle or velocity of each source without a fault agreed with the branch."""
+    """Whether the latest measurement of each source without a fault agreed with the branch."""
     for source in range(state.fault.size):
-        if state.fault[source] == IS_HEALTHY and state.weighed_ns[source] > state.consistent_ns[source]:
+        latest_ns = max(state.weighed_ns[source], state.received_ns[source])
+        if state.fault[source] == IS_HEALTHY and latest_ns > state.consistent_ns[source]:
             return False
     return True
 

@@ -51,8 +51,8 @@ def apply_measurement(
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
             update.attitude = update_attitude(state, measurement, bias_index(measurement.source, c), c)
-        if state.fault[GYROS] != IS_HEALTHY:
-            update.outcome = _GATED
+        if state.fault[GYROS] != IS_HEALTHY:  # it contradicts nothing
+            state.consistent_ns[measurement.source], update.outcome = measurement.stamp_ns, _GATED
             return
         update_with_rate(state, measurement, c, update, prior)
     elif kind == ODOMETRY:
