@@ -138,7 +138,7 @@ def test_lower_track_carries_more_load() -> None:
 
 
 def energies(rows: FloatArray, step: float) -> tuple[float, float]:
-    """Work of the tracks over rows a step apart, and its part that is not accounted for, J.
+    """Energy lost over rows a step apart, and work of the tracks that is not accounted for, J.
 
     Forces are those at the end of a step. Distances follow from the mean velocity in the axes at its end.
     """
@@ -151,12 +151,13 @@ def energies(rows: FloatArray, step: float) -> tuple[float, float]:
     tracks = 0.5 * (rows[1:] + rows[:-1])[:, c.TRACK_SPEED : c.TRACK_SPEED + 2]
     thrust, rolling = rows[1:, c.THRUST : c.THRUST + 2], rows[1:, c.RESISTANCE : c.RESISTANCE + 2]
     work = step * np.sum(thrust * tracks)
-    loss = np.sum(thrust * (tracks - over_ground) + rolling * over_ground)
-    loss += np.sum(rows[1:, c.MOMENT] * mean[:, 2] - rows[1:, c.SIDE] * mean[:, 1])
+    power = np.sum(thrust * (tracks - over_ground) + rolling * over_ground)
+    power += np.sum(rows[1:, c.MOMENT] * mean[:, 2] - rows[1:, c.SIDE] * mean[:, 1])
+    lost = step * float(power)
     inertia = np.array((VEHICLE.mass, VEHICLE.mass, VEHICLE.yaw_inertia))
     kinetic = 0.5 * float(np.sum((q[-1] ** 2 - q[0] ** 2) * inertia))
     gained = VEHICLE.weight * (rows[-1, c.Z] - rows[0, c.Z])
-    return float(work), float(work - step * loss - kinetic - gained)
+    return lost, float(work - lost - kinetic - gained)
 
 
 @cache
@@ -172,9 +173,9 @@ def steps_of(name: str, soil: str) -> FloatArray:
 @pytest.mark.parametrize("name", SLOPES)
 @pytest.mark.parametrize("soil", [pytest.param("sand", marks=pytest.mark.slow), "clayey_soil"])
 def test_energy_balances(name: str, soil: str) -> None:
-    work, missing = energies(steps_of(name, soil), SETTINGS.step)
-    assert work > 5e3
-    assert abs(missing) <= 1e-6 * work
+    lost, missing = energies(steps_of(name, soil), SETTINGS.step)
+    assert lost > 5e3
+    assert abs(missing) <= 1e-6 * lost
 
 
 @pytest.mark.parametrize("name", ["hill", "slope_down_15"])
