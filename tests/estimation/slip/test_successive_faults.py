@@ -52,16 +52,8 @@ def reversed_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
     return replace(m, rate=-m.rate) if isinstance(m, YawRate) else m
 
 
-def doubled_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
-    return replace(m, rate=2.0 * m.rate) if isinstance(m, YawRate) else m
-
-
 def biased_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
     return replace(m, rate=m.rate + 0.05) if isinstance(m, YawRate) else m
-
-
-def noisy_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
-    return replace(m, rate=m.rate + random.normal(0.0, 0.2)) if isinstance(m, YawRate) else m
 
 
 def scattered_fixes(m: Measurement, random: np.random.Generator) -> Measurement:
@@ -80,9 +72,6 @@ SUCCESSIONS: Mapping[str, Succession] = {
     ),
     "a reversed gyro, sprockets that show 0": Succession(
         [Fault(reversed_gyro, 43.8, 106.2), Fault(zero_sprockets, 54.5, 76.8)], 10
-    ),
-    "a gyro that shows twice the rate, then noise, beside headings": Succession(
-        [Fault(doubled_gyro, 40.3, 57.2), Fault(noisy_gyro, 56.2, 59.3)], 10, heading_noise=0.02, seed=1
     ),
     "headings that are off, a biased gyro": Succession(
         [Fault(turned_headings, 77.2, 94.1), Fault(biased_gyro, 79.5, 87.6)], 2, 0.02, 0.02, seed=1

@@ -28,7 +28,8 @@ before the measurement that the event explains. "Since": after the latest consis
     SLID             i₀, k; on a slope                                   since
     NOISE            noise factor of the source                          since
     FAILED           speed and yaw rate: the sprockets do not measure    since
-                     the motion (encoder fault, towed, slides); or
+                     the motion (encoder fault, towed, slides); the
+                     same, and the offset of a coarse receiver; or       or earlier
                      i₀, about −1: half of their counts are lost; or
                      heading: the gyros do not measure the yaw rate; or
                      i₀: odometry measures another motion; or

@@ -244,8 +244,8 @@ HISTORY = 16  # latest events of a branch
 class EventRecord(Record):
     """An event of a branch, and the step in which it opened states.
 
-    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``LOST`` or
-    ``STUCK``.
+    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``LOST``,
+    ``HIDDEN`` or ``STUCK``.
     ``value`` is the standard deviation, m, of a skid, an offset, or a displaced machine. Of a slip or a bias
     that changed earlier it is the time since then, s, in which the offset of a coarse receiver absorbed it.
     """

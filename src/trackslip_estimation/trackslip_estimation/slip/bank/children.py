@@ -381,7 +381,7 @@ def _make_jump_children(window: Window, p: int, k: int, c: Config) -> None:
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, size = m.source, _log_odds_of_any_size(m, before, c)
     if is_trusted(before.fault[source], POSE):
-        if update.outcome != _GATED and before.fault[source] == IS_HEALTHY:
+        if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         if before.sole_fix_source != source:
             add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)

@@ -107,17 +107,8 @@ def sector_angle(part: int) -> tuple[float, float]:
 @compiled
 def apply_event(state: State, e: EventRecord, c: Config) -> int:
     """Reset or inflate the states that an event changes; return the reset states as bits."""
-    previous_fault, reset_states = state.fault[e.source], 0
+    P, source, previous_fault = state.covariance[:], e.source, state.fault[e.source]
     _set_source_fault(state, e)
-    if is_heading_off(previous_fault) and e.event in (OFFSET, REPEATS, STAYS, SCATTERS, WANDERS):
-        reset_states = _reset_yaw_offset(state, e.source, c)  # the new fault replaces the old one
-    return reset_states | _change_states(state, e, previous_fault, c)
-
-
-@compiled
-def _change_states(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
-    """Reset or inflate the states that an event changes; return the reset states as bits."""
-    P, source = state.covariance[:], e.source
     if e.event == OFFSET:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
@@ -199,13 +190,13 @@ def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
 @compiled
 def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
     """End a fault of a source; BECAME_JUMP moves its offset into the measured state, except a swing angle."""
-    x, P, source = state.mean[: c.size], state.covariance[:], e.source
+    x, P, source, index = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
     if is_heading_off(previous_fault):
         if e.event == BECAME_JUMP and c.measures_swing[source] == 1:  # the offset stays
             return 0
         if e.event == BECAME_JUMP:
             to_sensor_heading(x, P, source, 1.0, c)
-        reset_states = _reset_yaw_offset(state, source, c)
+        reset_states = _reset_state(state, index, 0.0, c.prior_variance[index], c)
         return reset_states | (1 << YAW) if e.event == BECAME_JUMP else reset_states
     if previous_fault == IS_WANDERING and e.event == BECAME_JUMP:
         wander = state.offsets[pose_source_number(source, c)].wander
@@ -221,13 +212,6 @@ def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> 
     if source == TRACKS and has_velocity_errors(c):
         _open_slip(state, 0.0, c)
     return 0
-
-
-@compiled
-def _reset_yaw_offset(state: State, source: int, c: Config) -> int:
-    """Reset the offset of a source's headings or swing angles to its prior."""
-    index = c.yaw_offsets[source]
-    return _reset_state(state, index, 0.0, c.prior_variance[index], c)
 
 
 @compiled

@@ -78,7 +78,7 @@ def _log_odds_of_any_offset(before: State, source: int, variance: float, c: Conf
     first = c.offsets[source]
     squared = before.mean[first] ** 2 + before.mean[first + 1] ** 2
     any_size = log_density_of_any_size(max(squared, variance), c)
-    return any_size + squared / (2.0 * variance) + math.log(2.0 * math.pi * variance)
+    return float(any_size + squared / (2.0 * variance) + math.log(2.0 * math.pi * variance))
 
 
 @compiled
