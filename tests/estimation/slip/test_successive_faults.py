@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import GNSS, Machine, drive, parameters, with_coarse_fixes
+from fixtures.drawn_machine import FIX, GNSS, Machine, drive, parameters, with_coarse_fixes
 from fixtures.pose_errors import errors_over
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 Change = Callable[[Measurement, np.random.Generator], Measurement | None]
+SECOND = "second"  # another receiver
 WITHOUT_HEADING = Machine().heading_noise
 
 
@@ -60,6 +61,13 @@ def scattered_fixes(m: Measurement, random: np.random.Generator) -> Measurement:
     if not isinstance(m, PoseFix):
         return m
     return replace(m, pose=m.pose + np.append(random.normal(0.0, 3.0, 2), 0.0))
+
+
+def drifting_fixes(m: Measurement, random: np.random.Generator) -> Measurement:
+    if not isinstance(m, PoseFix):
+        return m
+    since = m.stamp_ns * 1e-9 - 1.0 - 76.3
+    return replace(m, pose=m.pose + since * np.array((-0.0572, -0.2705, 0.0)))
 
 
 def turned_headings(m: Measurement, random: np.random.Generator) -> Measurement:
@@ -121,3 +129,25 @@ def test_estimate_is_right_after_two_faults(name: str) -> None:
     assert after.rms < (4.0 if s.coarse else 0.1)
     assert after.nees(2).mean() < 8.0
     assert math.sqrt(np.mean(after.off[:, 2] ** 2)) < (0.3 if s.coarse else 0.1)
+
+
+def test_two_receivers_are_believed_again_that_were_both_taken_to_be_off() -> None:
+    """A biased gyro; then both drift by 2 m, as with wrong corrections, and return."""
+    recording = drive(Machine(duration=150.0, fix_rate=1))
+    random, second = np.random.default_rng(1081), list[Measurement]()
+    for k in range(1, len(recording.t), 5):
+        pose = np.append(recording.poses[k, :2] + 0.03 * random.standard_normal(2), 0.0)
+        stamp_ns = 10**9 + round(recording.t[k] * 1e9)
+        second.append(PoseFix(SECOND, stamp_ns, pose, np.diag((0.03**2, 0.03**2, 100.0))))
+    faults = [Fault(biased_gyro, 57.8, 72.45), Fault(drifting_fixes, 76.3, 83.5)]
+    measurements = sorted([*recording.measurements, *second], key=lambda m: m.stamp_ns)
+    p = parameters(
+        pose_sources=[FIX, SECOND],
+        **GNSS,
+        **{name.replace(FIX, SECOND): value for name, value in GNSS.items()},
+        **{f"sources.{SECOND}.use_heading": False},
+    )
+    errors, _ = errors_over(with_faults(measurements, faults, 0), recording, p)
+    after = errors.between(135.0)
+    assert after.rms < 0.05
+    assert after.nees(2).mean() < 8.0

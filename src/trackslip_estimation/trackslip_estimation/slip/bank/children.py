@@ -259,6 +259,7 @@ def _is_jump_test_due(window: Window, s: int, k: int, c: Config) -> bool:
     for other in range(MOST_SOURCES):
         same_angle = c.yaw_offsets[other] >= 0 and c.measures_swing[other] == c.measures_swing[source]
         shows = pose_source_number(other, c) >= 0 if is_place else same_angle
+        shows = shows and before.fault[other] == IS_HEALTHY
         if other != source and shows and before.consistent_ns[other] > since_ns:
             return False  # this other source measures no jump
     first, last = before.weighed_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
