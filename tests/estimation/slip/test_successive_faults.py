@@ -131,7 +131,7 @@ def test_estimate_is_right_after_two_faults(name: str) -> None:
     assert math.sqrt(np.mean(after.off[:, 2] ** 2)) < (0.3 if s.coarse else 0.1)
 
 
-def test_two_receivers_are_believed_again_that_were_both_taken_to_be_off() -> None:
+def test_two_receivers_that_both_seemed_off_are_followed_again() -> None:
     """A biased gyro; then both drift by 2 m, as with wrong corrections, and return."""
     recording = drive(Machine(duration=150.0, fix_rate=1))
     random, second = np.random.default_rng(1081), list[Measurement]()
