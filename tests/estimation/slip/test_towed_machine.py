@@ -15,7 +15,7 @@ TOWED = 60.0, 120.0  # s
 DURATION = 180.0  # s
 
 
-def errors_of(fix_rate: int, coarse: bool, has_gyro: bool) -> tuple[PoseErrors, SlipEstimator]:
+def errors_of(fix_rate: int, *, coarse: bool, has_gyro: bool) -> tuple[PoseErrors, SlipEstimator]:
     """Errors of the estimate, and the estimator, with precise or coarse fixes."""
     recording = drive(Machine(duration=DURATION, fix_rate=fix_rate, towed=TOWED))
     measurements = with_coarse_fixes(recording, 1.5, 60.0) if coarse else recording.measurements
@@ -28,7 +28,7 @@ def errors_of(fix_rate: int, coarse: bool, has_gyro: bool) -> tuple[PoseErrors, 
 def test_heading_is_found_again_once_the_tracks_of_a_towed_machine_drive(
     has_gyro: bool, fix_rate: int
 ) -> None:
-    errors, _ = errors_of(fix_rate, False, has_gyro)
+    errors, _ = errors_of(fix_rate, coarse=False, has_gyro=has_gyro)
     after = errors.between(TOWED[1] + 12.0)
     assert np.abs(after.off[:, 2]).max() < 0.15
     assert after.heading_nees < 3.0
@@ -37,7 +37,7 @@ def test_heading_is_found_again_once_the_tracks_of_a_towed_machine_drive(
 
 @pytest.mark.parametrize("fix_rate", [1, 5])
 def test_coarse_fixes_of_a_towed_machine_are_followed(fix_rate: int) -> None:
-    errors, estimator = errors_of(fix_rate, True, True)
+    errors, estimator = errors_of(fix_rate, coarse=True, has_gyro=True)
     meanwhile = errors.between(TOWED[0] + 30.0, TOWED[1])
     assert meanwhile.rms < 6.0
     assert meanwhile.nees(2).mean() < 6.0
