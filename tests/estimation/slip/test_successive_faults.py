@@ -58,6 +58,14 @@ def biased_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
     return replace(m, rate=m.rate + 0.05) if isinstance(m, YawRate) else m
 
 
+def doubled_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
+    return replace(m, rate=2.0 * m.rate) if isinstance(m, YawRate) else m
+
+
+def noisy_gyro(m: Measurement, random: np.random.Generator) -> Measurement:
+    return replace(m, rate=m.rate + 0.2 * random.standard_normal()) if isinstance(m, YawRate) else m
+
+
 def scattered_fixes(m: Measurement, random: np.random.Generator) -> Measurement:
     if not isinstance(m, PoseFix):
         return m
@@ -84,6 +92,9 @@ SUCCESSIONS: Mapping[str, Succession] = {
     ),
     "headings that are off, a biased gyro": Succession(
         [Fault(turned_headings, 77.2, 94.1), Fault(biased_gyro, 79.5, 87.6)], 2, 0.02, 0.02, seed=1
+    ),
+    "a gyro that shows twice the rate, and noise, beside headings": Succession(
+        [Fault(doubled_gyro, 40.3, 57.2), Fault(noisy_gyro, 56.2, 59.3)], 10, 0.0, 0.02, seed=1
     ),
     "silent sprockets, which then show 0, under coarse fixes": Succession(
         [Fault(no_sprockets, 40.7, 79.5), Fault(zero_sprockets, 79.5, 94.8)],

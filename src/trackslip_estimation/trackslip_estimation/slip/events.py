@@ -108,6 +108,7 @@ REVERSED = HEADINGS // 2  # ``part``: half a turn
 MEASURED = -1  # ``part``: the heading is that of a compass
 LOST = 1  # ``part``: half of the counts of the sprockets are lost
 STUCK = 1  # ``part``: both tracks slip by 100 %
+ANGLES = 1  # ``part``: the fault of headings or swing angles ended
 HIDDEN = 2  # ``part``: the sprockets failed earlier, which the offset of a coarse receiver hid
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.events import ANGLES, Event
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import HISTORY
 from trackslip_estimation.slip.source_faults import SourceFault
@@ -97,7 +97,8 @@ class Sources(NamedTuple):
 
 _FINDING_HEADING, _HEADING_WAS_UNKNOWN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
-_OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
+_ANGLE_FAULTS = (Event.HEADING_OFF, Event.HEADING_WANDERS)
+_OFFSETS = (Event.OFFSET, *_ANGLE_FAULTS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
 _FAILURES, BRAKE_NAME = "{source} and motion disagree", "swing brake"
 _BRAKE_WORDS = {
@@ -213,21 +214,23 @@ def _branch_explanation(
 
     ``is_heading_known``: whether an initially unknown heading is known.
     """
-    for number, fault in enumerate(state["fault"].tolist()):
-        if fault != SourceFault.HEALTHY and number in sources.names:
-            text = _fault_text(state, number, SourceFault(fault), sources)
-            kind = SourceFault.HEADING_OFF if fault == SourceFault.HEADING_WANDERS else fault
-            return f"{kind} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
+    for faults, since in (("fault", "fault_ns"), ("heading_fault", "heading_fault_ns")):
+        for number, fault in enumerate(state[faults].tolist()):
+            if fault != SourceFault.HEALTHY and number in sources.names:
+                text = _fault_text(state, number, SourceFault(fault), sources)
+                kind = SourceFault.HEADING_OFF if fault == SourceFault.HEADING_WANDERS else fault
+                return f"{kind} {number}", Explanation(text, 0.0, int(state[since][number]))
     count = int(branch["events"])
     events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
-    healthy, slip = set[int](), float(state["mean"][COMMON_SLIP])  # sources whose fault has ended; i₀
+    slip = float(state["mean"][COMMON_SLIP])
+    healthy = set[tuple[int, bool]]()  # sources whose fault has ended; True: that of their angles
     for n, e in reversed(list(enumerate(events))):
         event, source, stamp_ns = Event(e["event"]), int(e["source"]), int(e["decided_ns"])
         is_stuck = event is Event.SLIPPED and slip > _STUCK
         if state["stamp_ns"] - stamp_ns > _RECENT_NS and not is_stuck:
             continue
         if event is Event.RECOVERED:
-            healthy.add(source)
+            healthy.add((source, int(e["part"]) == ANGLES))
         elif event is Event.SLIPPED:
             text = f"both tracks slip {100.0 * slip:.0f} %"
             text = f"the machine is stuck: {text}" if is_stuck else text
@@ -235,7 +238,7 @@ def _branch_explanation(
         elif _is_sector_event(e):
             if not is_heading_known:
                 return _FINDING_HEADING, Explanation(_FINDING_HEADING, 0.0, stamp_ns)
-        elif event is not Event.OUTLIER and not (event in _FAULTS and source in healthy):
+        elif event is not Event.OUTLIER and not (event in _FAULTS and (source, event in _ANGLE_FAULTS) in healthy):
             name = sources.names.get(source, "")
             text = _event_text(event, name, name in sources.swings)
             if event is Event.BECAME_JUMP:

@@ -196,6 +196,8 @@ class State(Record):
     is_sector: bool  # whether a heading that began in a sector of the circle is not settled yet
     fault: Annotated[IntArray, MOST_SOURCES]  # ``SourceFault`` that the branch assumes, by source
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
+    heading_fault: Annotated[IntArray, MOST_SOURCES]  # of headings or swing angles, beside ``fault``
+    heading_fault_ns: Annotated[IntArray, MOST_SOURCES]
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source
     last_value: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of each source; of fixes that stay, their mean
     weighed_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
@@ -245,7 +247,7 @@ class EventRecord(Record):
     """An event of a branch, and the step in which it opened states.
 
     ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``LOST``,
-    ``HIDDEN`` or ``STUCK``.
+    ``HIDDEN`` or ``STUCK``; ``ANGLES``: the fault of the source's angles ended, not that of its positions.
     ``value`` is the standard deviation, m, of a skid, an offset, or a displaced machine. Of a slip or a bias
     that changed earlier it is the time since then, s, in which the offset of a coarse receiver absorbed it.
     """

@@ -13,7 +13,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.records import POSE, VELOCITY
+from trackslip_estimation.slip.records import HEADING, POSE, VELOCITY
 from trackslip_estimation.slip.source_offsets import pose_source_number
 
 if TYPE_CHECKING:
@@ -57,21 +57,16 @@ class SourceFault(IntEnum):
 
 
 @compiled
-def is_heading_off(fault: int) -> bool:
-    """Whether a fault is an offset of headings or swing angles."""
-    return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
-
-
-@compiled
-def is_trusted(fault: int, kind: int) -> bool:
-    """Whether a measurement is free of the fault: positions are, where only headings have an offset."""
-    return fault == IS_HEALTHY or (kind == POSE and is_heading_off(fault))
+def is_trusted(state: State, source: int, kind: int) -> bool:
+    """Whether a measurement is free of faults: a position is, where only headings have an offset."""
+    is_angle_sound = kind == POSE or state.heading_fault[source] == IS_HEALTHY
+    return bool(state.fault[source] == IS_HEALTHY and is_angle_sound)
 
 
 @compiled
 def is_displacement_measured(fault: int) -> bool:
     """Whether positions with the fault measure displacements: free of it, or with a constant offset."""
-    return fault == IS_OFFSET or is_trusted(fault, POSE)
+    return fault in (IS_HEALTHY, IS_OFFSET)
 
 
 @compiled
@@ -83,7 +78,7 @@ def is_failed(fault: int) -> bool:
 @compiled
 def has_no_fault(state: State) -> bool:
     """Whether a branch assumes no fault of any source or unit."""
-    return bool((state.fault == IS_HEALTHY).all())
+    return bool((state.fault == IS_HEALTHY).all() and (state.heading_fault == IS_HEALTHY).all())
 
 
 @compiled
@@ -103,7 +98,7 @@ def are_sources_consistent(state: State) -> bool:
     """Whether the latest measurement of each source without a fault agreed with the branch."""
     for source in range(state.fault.size):
         latest_ns = max(state.weighed_ns[source], state.received_ns[source])
-        if state.fault[source] == IS_HEALTHY and latest_ns > state.consistent_ns[source]:
+        if is_trusted(state, source, HEADING) and latest_ns > state.consistent_ns[source]:
             return False
     return True
 
@@ -113,7 +108,13 @@ def has_wandering_offset(state: State, source: int, c: Config) -> bool:
     """Whether the offset of a source walks, so that no measurement contradicts it when the fault ends."""
     fault = state.fault[source]
     is_velocity = pose_source_number(source, c) < 0
-    return bool(fault in (IS_WANDERING, IS_HEADING_WANDERING) or (fault == IS_OFFSET and is_velocity))
+    return bool(fault == IS_WANDERING or (fault == IS_OFFSET and is_velocity))
+
+
+@compiled
+def has_wandering_heading(state: State, source: int) -> bool:
+    """Whether the angles of a source have an offset that walks: none shows when that fault ends."""
+    return bool(state.heading_fault[source] == IS_HEADING_WANDERING)
 
 
 @compiled
@@ -121,11 +122,11 @@ def propagate_faults(state: State, dt: float, c: Config) -> None:
     """Add process noise of ``dt`` s to offsets that walk: of headings, swing angles and velocities."""
     P = state.covariance
     for source in range(state.fault.size):
-        if state.fault[source] == IS_HEADING_WANDERING:
+        if has_wandering_heading(state, source):
             index = c.yaw_offsets[source]
             walk = c.events.swing_walk if c.measures_swing[source] == 1 else c.events.heading_walk
             P[index, index] += walk**2 * dt
-        elif state.fault[source] == IS_OFFSET and pose_source_number(source, c) < 0:
+        if state.fault[source] == IS_OFFSET and pose_source_number(source, c) < 0:
             for index in (c.offsets[source], c.offsets[source] + 1):
                 P[index, index] += c.events.velocity_walk**2 * dt
 

@@ -111,12 +111,9 @@ def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) 
         state.fixed_ns = NEVER_NS
     state.track_distance = state.learned_downhill = state.displacement[:] = 0.0
     state.is_sector, state.sole_fix_source, state.sole_fix_heading = False, -1, False
-    state.fault_ns[:] = stamp_ns
-    state.fault[:], state.outlier_share[:], state.last_value[:] = (
-        IS_HEALTHY,
-        c.bank.initial_outlier_share,
-        math.nan,
-    )
+    state.fault_ns[:] = state.heading_fault_ns[:] = stamp_ns
+    state.fault[:] = state.heading_fault[:] = IS_HEALTHY
+    state.outlier_share[:], state.last_value[:] = c.bank.initial_outlier_share, math.nan
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_value[measurement.source] = measurement.value[:2]
         state.sole_fix_source, state.sole_fix_heading = measurement.source, has_heading(measurement)

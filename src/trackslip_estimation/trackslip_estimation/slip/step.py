@@ -249,6 +249,7 @@ def set_manual_pose(state: State, manual: MeasurementRecord) -> None:
         for j in range(SIZE):
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
-    state.is_sector, state.sole_fix_heading, state.fault[:] = False, False, IS_HEALTHY
+    state.is_sector = state.sole_fix_heading = False
+    state.fault[:] = state.heading_fault[:] = IS_HEALTHY
     for k in range(len(state.standstills)):
         state.standstills[k].count = 0

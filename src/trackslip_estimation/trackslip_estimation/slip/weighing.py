@@ -54,6 +54,7 @@ from trackslip_estimation.slip.observations.swing import observe_swing
 from trackslip_estimation.slip.observations.velocity import observe_velocity
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, VELOCITY
 from trackslip_estimation.slip.source_faults import (
+    IS_HEALTHY,
     IS_IGNORED,
     IS_OFFSET,
     IS_REPEATING,
@@ -61,7 +62,6 @@ from trackslip_estimation.slip.source_faults import (
     IS_STAYING,
     IS_WANDERING,
     is_displacement_measured,
-    is_heading_off,
     log_density_of_outlier,
     log_density_of_scatter,
     weigh_repeat,
@@ -141,7 +141,7 @@ def weigh_and_update(
     _correct(
         state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.cross_covariance), c
     )
-    if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
+    if fault == IS_OFFSET or (kind != POSE and state.heading_fault[source] != IS_HEALTHY):
         update.outcome = _GATED
 
 

@@ -117,11 +117,16 @@ def add_child(
 
 
 @compiled
-def add_sector_event(window: Window, h: int, source: int, part: int, k: int, c: Config) -> None:
-    """Restrict the heading of child h of the pool to a sector of the circle, from its first step on."""
-    branch, update, m = window.pool_branches[h], window.pool_updates[h], window.measurements[k]
-    e = record_event(branch, TURNED, source, part, 0.0, m, window.measurements[branch.first], 0)
-    update.reset_states |= apply_event(window.pool_states[h], e, c)
+def add_sector_event(
+    window: Window, h: int, source: int, part: int, k: int, first: int, after: int, c: Config
+) -> None:
+    """Restrict the heading of branch h of the pool to a sector of the circle at measurement k.
+
+    It is restricted before (0) or ``after`` (1) the step to measurement ``first``.
+    """
+    step, explained = window.measurements[first], window.measurements[k]
+    e = record_event(window.pool_branches[h], TURNED, source, part, 0.0, explained, step, after)
+    window.pool_updates[h].reset_states |= apply_event(window.pool_states[h], e, c)
 
 
 @compiled

@@ -27,10 +27,11 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_sector_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
+from trackslip_estimation.slip.bank.offset_jumps import is_offset_jump_due, make_offset_jump_children
 from trackslip_estimation.slip.bank.plausibility import PERIOD, implausibility, is_stuck, slip_range_penalty
 from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
 from trackslip_estimation.slip.events import (
-    BECAME_JUMP,
+    ANGLES,
     BIASED,
     FAILED,
     HEADING_OFF,
@@ -73,19 +74,18 @@ from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_OFFSET,
     IS_SCATTERING,
-    IS_WANDERING,
     can_be_repetition,
     has_failed_unit,
+    has_wandering_heading,
     has_wandering_offset,
     is_displacement_measured,
     is_failed,
-    is_heading_off,
     is_repeated,
     is_trusted,
     log_density_of_any_size,
     unknown_position_stddev,
 )
-from trackslip_estimation.slip.source_offsets import has_mostly_correlated_errors, pose_source_number
+from trackslip_estimation.slip.source_offsets import has_mostly_correlated_errors
 from trackslip_estimation.slip.sprockets import shows_standstill
 from trackslip_estimation.slip.weighing import contradiction_limit
 from trackslip_estimation.slip.window import Window
@@ -95,7 +95,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
-_WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
 
 
 @compiled
@@ -170,12 +169,11 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     source, fault = measurement.source, state.fault[measurement.source]
     elapsed_s = (measurement.stamp_ns - window.states[s, k - 1].weighed_ns[source]) * 1e-9
     branch.fresh = 0
-    if fault != IS_HEALTHY:
-        branch.weight -= elapsed_s / c.events.fault_time
-    for unit in range(MOST_SOURCES):
-        is_weighed = measurement.kind in (POSE, VELOCITY) and _can_recover(state, unit, c)
-        if is_weighed and is_failed(state.fault[unit]):
-            branch.weight -= elapsed_s / c.events.fault_time
+    lasting = int(fault != IS_HEALTHY) + int(state.heading_fault[source] != IS_HEALTHY)
+    if measurement.kind in (POSE, VELOCITY):
+        for unit in range(MOST_SOURCES):
+            lasting += int(is_failed(state.fault[unit]) and _can_recover(state, unit, c))
+    branch.weight -= lasting * elapsed_s / c.events.fault_time
     periods = min(elapsed_s / PERIOD, 1.0)
     slip_cost = slip_range_penalty(state, c) * periods
     branch.slip_cost = branch.slip_cost + slip_cost if slip_cost > 0.0 else 0.0
@@ -200,28 +198,27 @@ def _is_contradicted(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether measurement k contradicts branch s, or the branch rejects it."""
     before, update = window.states[s, k - 1], update_of(window, s, k)
     m = window.measurements[k]
-    is_gated = update.outcome == _GATED and is_trusted(before.fault[m.source], m.kind)
+    is_gated = update.outcome == _GATED and is_trusted(before, m.source, m.kind)
     return bool(update.nis > contradiction_limit(update.dof, c) or is_gated)
 
 
 @compiled
 def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether branch s of row k gets children."""
-    measurement, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
-    fault, update = before.fault[measurement.source], update_of(window, s, k)
-    if fault == IS_SCATTERING:
-        return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
-    if _is_contradicted(window, s, k, c) or _is_jump_test_due(window, s, k, c):
+    m, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
+    if before.fault[m.source] == IS_SCATTERING:
+        return bool(m.kind == POSE or update_of(window, s, k).nis <= c.gate_limits[1])
+    if _is_contradicted(window, s, k, c) or is_offset_jump_due(window, s, k, c):
         return True
-    if has_hidden_change(window, s, k, c) or _log_odds_of_stamp_delay(measurement, before, c) > 0.0:
+    if has_hidden_change(window, s, k, c) or _log_odds_of_stamp_delay(m, before, c) > 0.0:
         return True
-    if has_failed_unit(before) and measurement.kind in (POSE, VELOCITY):
+    if has_failed_unit(before) and m.kind in (POSE, VELOCITY):
         return True
-    if has_wandering_offset(before, measurement.source, c):
+    if has_wandering_offset(before, m.source, c) or has_wandering_heading(before, m.source):
         return True
     if _is_slip_implausible(window, s, k, c):
         return True
-    if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
+    if m.kind in (POSE, VELOCITY) and is_trusted(before, m.source, m.kind):
         return bool(_is_repeated_in_motion(window, s, k, c) or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
@@ -229,7 +226,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
 @compiled
 def _log_odds_of_stamp_delay(m: MeasurementRecord, before: State, c: Config) -> float:
     """ln of the odds that all fixes up to this one have late or early stamps; −∞ of other measurements."""
-    is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE) and not is_stuck(before, c)
+    is_fix = m.kind == POSE and is_trusted(before, m.source, POSE) and not is_stuck(before, c)
     return log_odds_of_delay(before, m.source, c) if is_fix else -math.inf
 
 
@@ -244,26 +241,6 @@ def _is_repeated_in_motion(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether measurement k equals the previous one although branch s has moved its sensor."""
     is_moving = _is_sensor_moving(window.states[s, k - 1], window.measurements[k].source, c)
     return bool(is_moving and is_repeated(update_of(window, s, k), c))
-
-
-@compiled
-def _is_jump_test_due(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether to try the source's offset as a jump of the machine, once each fault time or three."""
-    source, before = window.measurements[k].source, window.states[s, k - 1]
-    fault = before.fault[source]
-    is_place = fault in (IS_OFFSET, IS_WANDERING) and pose_source_number(source, c) >= 0
-    if s != 0 or not (is_place or is_heading_off(fault)):
-        return False
-    times = _WANDER_TIMES if fault == IS_WANDERING else 1.0
-    since_ns, period_ns = before.fault_ns[source], times * c.events.fault_time * 1e9
-    for other in range(MOST_SOURCES):
-        same_angle = c.yaw_offsets[other] >= 0 and c.measures_swing[other] == c.measures_swing[source]
-        shows = pose_source_number(other, c) >= 0 if is_place else same_angle
-        shows = shows and before.fault[other] == IS_HEALTHY
-        if other != source and shows and before.consistent_ns[other] > since_ns:
-            return False  # this other source measures no jump
-    first, last = before.weighed_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
-    return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
 
 
 @compiled
@@ -298,11 +275,10 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
 @compiled
 def _can_have_earlier_event(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether an event since the snapshot of p, a likely branch, may explain measurement k."""
-    m = window.measurements[k]
-    fault = window.states[p, k - 1].fault[m.source]
-    if m.kind not in (POSE, VELOCITY) or fault == IS_SCATTERING:
+    m, before = window.measurements[k], window.states[p, k - 1]
+    if m.kind not in (POSE, VELOCITY) or before.fault[m.source] == IS_SCATTERING:
         return False
-    shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
+    shows = is_trusted(before, m.source, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     return bool(shows or _is_contradicted(window, p, k, c) or _is_slip_implausible(window, p, k, c))
 
 
@@ -333,12 +309,12 @@ def _make_recovery_children(window: Window, p: int, k: int, contradicts: bool, c
     if fault == IS_SCATTERING:
         _make_scatter_end_children(window, p, k, c)
         return
+    recovered = log_measurement_interval(window, p, k, c) + c.log_rates[RECOVERED, source]
     if fault != IS_HEALTHY and (contradicts or has_wandering_offset(before, source, c)):
-        add_child_at_measurement(window, p, k, RECOVERED, source, 0.0, c)
-    if _is_jump_test_due(window, p, k, c):  # the offset paid for its duration; a jump does not
-        age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
-        prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
-        add_child(window, p, k, BECAME_JUMP, source, 0, False, prior, c)
+        add_child(window, p, k, RECOVERED, source, 0, False, recovered, c)
+    if before.heading_fault[source] != IS_HEALTHY and (contradicts or has_wandering_heading(before, source)):
+        add_child(window, p, k, RECOVERED, source, ANGLES, False, recovered, c)
+    make_offset_jump_children(window, p, k, c)
 
 
 @compiled
@@ -367,7 +343,7 @@ def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
     """Add children with an event just before a fix."""
     before, update = window.states[p, k - 1], update_of(window, p, k)
     source = window.measurements[k].source
-    if is_trusted(before.fault[source], POSE) and _is_sensor_moving(before, source, c):
+    if is_trusted(before, source, POSE) and _is_sensor_moving(before, source, c):
         if is_repeated(update, c):
             add_child_at_measurement(window, p, k, REPEATS, source, 0.0, c)
         if contradicts and can_be_repetition(update, c) and are_track_speeds_measured(before):
@@ -381,13 +357,13 @@ def _make_jump_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add children with a jump of source or machine just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, size = m.source, _log_odds_of_any_size(m, before, c)
-    if is_trusted(before.fault[source], POSE):
+    if is_trusted(before, source, POSE):
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         if before.sole_fix_source != source:
             add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)
             add_child_at_measurement(window, p, k, OFFSET, source, size, c)
-            if update.dof > YAW and before.fault[source] == IS_HEALTHY:
+            if update.dof > YAW and before.heading_fault[source] == IS_HEALTHY:
                 _make_heading_offset_child(window, p, k, c)
     elif before.fault[source] == IS_OFFSET:  # a different offset
         add_child_at_measurement(window, p, k, OFFSET, source, size, c)
@@ -429,7 +405,7 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add the children of branch p at a heading, a swing angle or a velocity that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source = m.source
-    if before.fault[source] == IS_HEALTHY:
+    if is_trusted(before, source, m.kind):
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)

@@ -43,7 +43,17 @@ from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.slope import is_on_slope
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_free_to_swing, is_swing_braked
-from trackslip_estimation.slip.records import BRAKE, GYROS, MOST_SOURCES, OLDER, POSE, TRACKS, VELOCITY
+from trackslip_estimation.slip.records import (
+    BRAKE,
+    GYROS,
+    HEADING,
+    MOST_SOURCES,
+    OLDER,
+    ON_SWING,
+    POSE,
+    TRACKS,
+    VELOCITY,
+)
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_MISCOUNTING,
@@ -81,7 +91,7 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
             add_child_since_snapshot(window, p, k, SLIPPED, source, STUCK, stuck, c)
     if not implausible and _is_probably_outlier(window, p, k, c):
         return
-    is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
+    is_place = m.kind == POSE and is_trusted(before, source, POSE)
     may_stay = is_place and has_moved and are_track_speeds_measured(before)
     may_stay = may_stay and not before.is_sector and not is_heading_unknown(before)
     if may_stay and can_be_repetition(update, c):
@@ -136,7 +146,7 @@ def make_recovered_sector_children(window: Window, p: int, k: int, c: Config) ->
         count = window.status[0].pooled
         add_child_since_snapshot(window, p, k, RECOVERED, TRACKS, 0, -_LOG_SECTORS, c)
         if window.status[0].pooled > count:
-            add_sector_event(window, count, source, part, k, c)
+            add_sector_event(window, count, source, part, k, window.pool_branches[count].first, 0, c)
 
 
 @compiled
@@ -157,7 +167,7 @@ def _make_wander_children(window: Window, p: int, k: int, c: Config) -> None:
         number = pose_source_number(source, c)
         if number < 0 or not (is_velocity or source == m.source):
             continue
-        stddev, is_sound = now.offsets[number].stddev, is_trusted(before.fault[source], POSE)
+        stddev, is_sound = now.offsets[number].stddev, is_trusted(before, source, POSE)
         is_precise = stddev > 0.0 and quality_of(stddev, c) == PRECISE
         if is_precise and is_sound and not has_position_dependent_errors(source, c):
             add_child_since_snapshot(window, p, k, WANDERS, source, 0, 0.0, c)
@@ -170,7 +180,7 @@ def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, 
     if not has_recent_fix(before, window.measurements[k], c):
         return
     for other in range(MOST_SOURCES):
-        if before.fault[other] != IS_HEALTHY:
+        if not is_trusted(before, other, HEADING):
             continue
         if c.yaw_offsets[other] >= 0:
             add_child_since_snapshot(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
@@ -205,7 +215,7 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
     for other in range(MOST_SOURCES):
-        if c.measures_swing[other] == 1 and before.fault[other] == IS_HEALTHY:
+        if c.measures_swing[other] == 1 and is_trusted(before, other, ON_SWING):
             add_child_since_snapshot(window, p, k, REPEATS, other, 0, -penalty, c)
 
 

@@ -14,6 +14,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.events import (
+    ANGLES,
     ANY_HEADING,
     BECAME_JUMP,
     BIASED,
@@ -71,7 +72,6 @@ from trackslip_estimation.slip.source_faults import (
     IS_SCATTERING,
     IS_STAYING,
     IS_WANDERING,
-    is_heading_off,
 )
 from trackslip_estimation.slip.source_offsets import (
     latest_pose_source,
@@ -113,6 +113,8 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _reset_state(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
+    if e.event in (RECOVERED, BECAME_JUMP) and e.part == ANGLES:
+        return _end_heading_fault(state, e, c)
     if e.event in (RECOVERED, BECAME_JUMP):
         return _end_fault(state, e, previous_fault, c)
     if e.event == MOVED:
@@ -159,6 +161,8 @@ def _set_source_fault(state: State, e: EventRecord) -> None:
         state.sole_fix_source = source
         if state.fault[source] == IS_SCATTERING:
             state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_HEALTHY
+    elif fault in (IS_HEADING_OFF, IS_HEADING_WANDERING) or (fault == IS_HEALTHY and e.part == ANGLES):
+        state.heading_fault_ns[source], state.heading_fault[source] = state.stamp_ns, fault
     elif fault != _NOT_ABOUT_SOURCE:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, fault
         if e.event == FAILED and e.part == LOST:
@@ -189,15 +193,8 @@ def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
-    """End a fault of a source; BECAME_JUMP moves its offset into the measured state, except a swing angle."""
-    x, P, source, index = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
-    if is_heading_off(previous_fault):
-        if e.event == BECAME_JUMP and c.measures_swing[source] == 1:  # the offset stays
-            return 0
-        if e.event == BECAME_JUMP:
-            to_sensor_heading(x, P, source, 1.0, c)
-        reset_states = _reset_state(state, index, 0.0, c.prior_variance[index], c)
-        return reset_states | (1 << YAW) if e.event == BECAME_JUMP else reset_states
+    """End a fault of a source or unit; BECAME_JUMP moves its offset into the position."""
+    x, P, source = state.mean[: c.size], state.covariance[:], e.source
     if previous_fault == IS_WANDERING and e.event == BECAME_JUMP:
         wander = state.offsets[pose_source_number(source, c)].wander
         reset_states = _reset_state(state, X, x[X] + wander.east, wander.variance, c)
@@ -212,6 +209,18 @@ def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> 
     if source == TRACKS and has_velocity_errors(c):
         _open_slip(state, 0.0, c)
     return 0
+
+
+@compiled
+def _end_heading_fault(state: State, e: EventRecord, c: Config) -> int:
+    """End a fault of angles; BECAME_JUMP moves their offset into the heading, and keeps that of a swing."""
+    source, index, is_jump = e.source, c.yaw_offsets[e.source], e.event == BECAME_JUMP
+    if is_jump and c.measures_swing[source] == 1:
+        return 0
+    if is_jump:
+        to_sensor_heading(state.mean[: c.size], state.covariance[:], source, 1.0, c)
+    reset_states = _reset_state(state, index, 0.0, c.prior_variance[index], c)
+    return reset_states | (1 << YAW) if is_jump else reset_states
 
 
 @compiled

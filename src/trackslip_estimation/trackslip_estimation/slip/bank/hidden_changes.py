@@ -49,9 +49,7 @@ def log_odds_of_hidden_change(window: Window, p: int, k: int, event: int, c: Con
     m, before = window.measurements[k], window.states[p, k - 1]
     if m.kind != POSE or not (has_velocity_errors(c) and has_mostly_correlated_errors(before, m.source, c)):
         return -math.inf
-    if event == BIASED and (c.shows_motion[GYROS] == 0 or before.fault[GYROS] != IS_HEALTHY):
-        return -math.inf
-    if event == FAILED and (before.fault[TRACKS] != IS_HEALTHY or is_heading_undetermined(before)):
+    if not _can_have_changed(before, event, c):
         return -math.inf
     offset = before.offsets[pose_source_number(m.source, c)]
     errors, distance = error_model(offset, c), _recent_distance(window, m.source, k, c)
@@ -63,6 +61,16 @@ def log_odds_of_hidden_change(window: Window, p: int, k: int, event: int, c: Con
     else:
         odds = _log_odds_of_change(window, before, m.source, k, event, c) + c.log_rates[event, m.source]
     return float(odds + log_measurement_interval(window, p, k, c))
+
+
+@compiled
+def _can_have_changed(before: State, event: int, c: Config) -> bool:
+    """Whether what an event changes was sound before it, and shows the motion."""
+    if event == BIASED:
+        return bool(c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY)
+    if event == FAILED:
+        return bool(before.fault[TRACKS] == IS_HEALTHY and not is_heading_undetermined(before))
+    return True
 
 
 @compiled

@@ -14,7 +14,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
-from trackslip_estimation.slip.source_faults import IS_OFFSET, has_no_fault, is_heading_off
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, has_no_fault
 from trackslip_estimation.slip.window import MOST_BRANCHES, Window
 
 if TYPE_CHECKING:
@@ -126,12 +126,13 @@ def _are_close(a: State, b: State, c: Config) -> bool:
     total, n = 0.0, 0
     for k in range(MOST_SOURCES):
         ratio = a.adaptation.fix_factors[k] / b.adaptation.fix_factors[k]
-        if a.fault[k] != b.fault[k] or ratio > 2.0 or ratio < 0.5:
+        same_faults = a.fault[k] == b.fault[k] and a.heading_fault[k] == b.heading_fault[k]
+        if not same_faults or ratio > 2.0 or ratio < 0.5:
             return False
         if a.fault[k] == IS_OFFSET:
             for i in range(c.offsets[k], c.offsets[k] + 2):
                 total, n = total + _distance(a, b, i), n + 1
-        elif is_heading_off(a.fault[k]):
+        if a.heading_fault[k] != IS_HEALTHY:
             total, n = total + _distance(a, b, c.yaw_offsets[k]), n + 1
     for i in (X, Y, YAW, COMMON_SLIP, SWING):
         if i == SWING and not c.swings:

@@ -86,7 +86,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     if n < 0 or not _is_usable_for_error_model(state, update, m.source, c):
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
-    is_off = update.coarse == 0 and not is_trusted(state.fault[m.source], POSE)
+    is_off = update.coarse == 0 and not is_trusted(state, m.source, POSE)
     distance = math.hypot(of.displacement[X], of.displacement[Y])
     if is_off or (heading >= c.receivers.most_spread and distance >= c.bank.least_distance):
         if of.status != NO_FIX:
@@ -110,7 +110,7 @@ def _is_usable_for_error_model(state: State, update: Update, source: int, c: Con
     fault = state.fault[source]
     if has_failed_unit(state) or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return False
-    is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(fault, POSE))
+    is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(state, source, POSE))
     return bool(update.coarse == 1 or not (is_outlier or has_position_dependent_errors(source, c)))
 
 

@@ -22,8 +22,8 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.slip.bank.child import add_sector_event
 from trackslip_estimation.slip.bank.children import create_children, create_failure_children
-from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.plausibility import implausibility
 from trackslip_estimation.slip.bank.pool import (
     copy_row_to_pool,
@@ -37,9 +37,9 @@ from trackslip_estimation.slip.bank.receivers import (
     copy_error_models,
     reset_receivers_after_turn,
 )
-from trackslip_estimation.slip.bank.script import apply_scripted_events, record_event
+from trackslip_estimation.slip.bank.script import apply_scripted_events
 from trackslip_estimation.slip.correlated_errors import reset_receiver
-from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED
+from trackslip_estimation.slip.events import HEADINGS, NONE
 from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.levers import is_direction_unknown, is_heading_unknown
 from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
@@ -173,11 +173,10 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
 @compiled
 def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
     """Restrict the heading of branch h of the pool to sector ``part`` of the circle."""
-    state, branch, measurement = window.pool_states[h], window.pool_branches[h], window.measurements[k]
-    source = latest_pose_source(state, c)
+    branch, source = window.pool_branches[h], latest_pose_source(window.pool_states[h], c)
     branch.weight -= math.log(HEADINGS)
     branch.fresh = 1
-    apply_event(state, record_event(branch, TURNED, source, part, 0.0, measurement, measurement, 1), c)
+    add_sector_event(window, h, source, part, k, k, 1, c)
 
 
 @compiled
@@ -241,7 +240,7 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
             for snapshot in branch.snapshots:
                 snapshot.fixes += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= contradiction_limit(update.dof, c)
-        agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
+        agrees = agrees and is_trusted(state, measurement.source, POSE) and measurement.kind == POSE
         agrees = agrees and are_sources_consistent(state)
         if agrees or (branch.fresh == 1 and measurement.kind in (HEADING, ON_SWING)):
             _reset_snapshots(window, s, k)

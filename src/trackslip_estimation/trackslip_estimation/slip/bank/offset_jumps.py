@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Try whether a lasting offset of a source is a jump of the machine; compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.bank.child import add_child
+from trackslip_estimation.slip.events import ANGLES, BECAME_JUMP, MOVED, OFFSET
+from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, POSE
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, IS_WANDERING, is_trusted
+from trackslip_estimation.slip.source_offsets import pose_source_number
+from trackslip_estimation.slip.window import Window
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+
+_WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
+
+
+@compiled
+def is_offset_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
+    """Whether to try an offset of the source's positions or angles in branch s as a jump."""
+    return bool(_is_position_jump_due(window, s, k, c) or _is_heading_jump_due(window, s, k, c))
+
+
+@compiled
+def make_offset_jump_children(window: Window, p: int, k: int, c: Config) -> None:
+    """Add the children of branch p in which an offset is a jump, where it is due."""
+    source, before = window.measurements[k].source, window.states[p, k - 1]
+    if _is_position_jump_due(window, p, k, c):
+        _make_jump_child(window, p, k, before.fault_ns[source], 0, c)
+    if _is_heading_jump_due(window, p, k, c):
+        _make_jump_child(window, p, k, before.heading_fault_ns[source], ANGLES, c)
+
+
+@compiled
+def _make_jump_child(window: Window, p: int, k: int, since_ns: int, part: int, c: Config) -> None:
+    """Add a child in which an offset is a jump since ``since_ns``: it does not pay for its duration."""
+    m = window.measurements[k]
+    age = (m.stamp_ns - since_ns) * 1e-9 / c.events.fault_time
+    prior = age + c.log_rates[MOVED, m.source] - c.log_rates[OFFSET, m.source]
+    add_child(window, p, k, BECAME_JUMP, m.source, part, False, prior, c)
+
+
+@compiled
+def _is_position_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
+    """Whether to try the offset of the source's positions as a jump, once each fault time or three."""
+    source, before = window.measurements[k].source, window.states[s, k - 1]
+    fault, since_ns = before.fault[source], before.fault_ns[source]
+    if s != 0 or fault not in (IS_OFFSET, IS_WANDERING) or pose_source_number(source, c) < 0:
+        return False
+    for other in range(MOST_SOURCES):
+        shows = other != source and pose_source_number(other, c) >= 0 and is_trusted(before, other, POSE)
+        if shows and before.consistent_ns[other] > since_ns:
+            return False  # this other source measures no jump
+    return _begins_period(window, s, k, since_ns, _WANDER_TIMES if fault == IS_WANDERING else 1.0, c)
+
+
+@compiled
+def _is_heading_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
+    """Whether to try the offset of the source's angles as a jump, once each fault time."""
+    source, before = window.measurements[k].source, window.states[s, k - 1]
+    since_ns = before.heading_fault_ns[source]
+    if s != 0 or before.heading_fault[source] == IS_HEALTHY:
+        return False
+    for other in range(MOST_SOURCES):
+        same_angle = c.yaw_offsets[other] >= 0 and c.measures_swing[other] == c.measures_swing[source]
+        shows = other != source and same_angle and is_trusted(before, other, HEADING)
+        if shows and before.consistent_ns[other] > since_ns:
+            return False  # this other source measures no jump
+    return _begins_period(window, s, k, since_ns, 1.0, c)
+
+
+@compiled
+def _begins_period(window: Window, s: int, k: int, since_ns: int, times: float, c: Config) -> bool:
+    """Whether measurement k is the first one of its source in another ``times`` fault times."""
+    m, period_ns = window.measurements[k], times * c.events.fault_time * 1e9
+    latest_ns = window.states[s, k - 1].weighed_ns[m.source]
+    periods = math.floor((m.stamp_ns - since_ns) / period_ns)
+    return bool(periods > math.floor((latest_ns - since_ns) / period_ns))
