@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The upper structure swings, with a GNSS receiver on it: at standstill, and while the tracks drive."""
+"""The upper structure swings, with a GNSS receiver on it: at standstill, in motion, and unseen."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +15,7 @@ from fixtures.swinging_cab import Cab, Part, dig, record
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix
+from trackslip_estimation.slip.measurements import HeadingFix, Measurement, Outcome, PoseFix, Sprockets
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 WITHOUT_ENCODER = {"vehicle": "pc05_cab", "swing_sources": [""]}
@@ -73,3 +73,53 @@ def test_time_correlated_errors_of_a_receiver_on_the_cab_are_no_events(receiver:
     assert estimator.read_events() == []
     fixes = [report for report, _ in steps if report.source == "box_pose"]
     assert sum(fix.outcome is Outcome.GATED for fix in fixes) <= 0.01 * len(fixes)
+
+
+SILENT = [
+    Part(6.0, swing_to=-1.0),
+    Part(8.0, 1.5, 2.5),
+    Part(6.0, swing_to=1.5),
+    Part(8.0, -2.0, -2.0),
+    Part(9.0),
+]
+SILENCE = 26.0, 61.0  # s
+
+
+@pytest.mark.parametrize("fix_hertz", [5.0, 1.0])
+@pytest.mark.parametrize("gyro", [True, False])
+def test_cab_that_swung_while_the_sprockets_were_silent_is_found_again(
+    *, gyro: bool, fix_hertz: float
+) -> None:
+    """Without an encoder neither heading nor swing angle is known after the silence."""
+    drive = record(
+        [*BEFORE, Part(2.0), *SILENT, *AFTER, *AFTER], Cab(fix_hertz=fix_hertz, encoder=False, gyro=gyro)
+    )
+    measurements = [
+        m
+        for m in drive.measurements
+        if not (isinstance(m, Sprockets) and SILENCE[0] <= m.stamp_ns * 1e-9 - 1.0 < SILENCE[1])
+    ]
+    found, _ = errors_over(
+        measurements, drive, load_slip_parameters(WITHOUT_ENCODER, GNSS, RECEIVERS["one antenna"])
+    )
+    assert found.between(20.0).nees(2).mean() < 4.0
+    after = found.between(75.0)
+    assert after.rms < 0.3
+    assert np.abs(after.off[:, 2]).max() < 0.5
+
+
+@pytest.mark.parametrize("swing", [0.0, 2.0])
+def test_compass_on_the_cab_corrects_a_wrong_initial_heading(swing: float) -> None:
+    drive = record([Part(6.0), Part(20.0, 2.0, 2.0)], Cab(start=swing))
+    sprockets = [m for m in drive.measurements if isinstance(m, Sprockets)]
+    compass = [
+        HeadingFix("heading", m.stamp_ns, math.remainder(pose[2] + swing, math.tau), 1e-4)
+        for m, pose in zip(sprockets[40:], drive.poses[40:], strict=True)
+    ]
+    parameters = load_slip_parameters(
+        {"vehicle": "pc05_cab", "heading_sources": ["heading"], "sources.heading.offset": 0.0},
+        {"start": "initial_pose", "initial_yaw": 1.2, "sources.box_pose.use_heading": False, **GNSS},
+    )
+    measurements = sorted([*drive.measurements, *compass], key=lambda m: m.stamp_ns)
+    found, _ = errors_over(measurements, drive, parameters)
+    assert np.abs(found.between(8.0).off[:, 2]).max() < 0.1

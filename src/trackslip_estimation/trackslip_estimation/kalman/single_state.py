@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Operations on one state of a Gaussian: replace, decay, add, change its prior; compiled, in place.
+"""Operations on one state of a Gaussian: replace, decay, add, limit, change its prior; compiled, in place.
 
 The decay is that of a first-order Gauss–Markov process.
 
@@ -40,6 +40,17 @@ def add_state(P: FloatArray, to: int, added: int, factor: float) -> None:
         P[to, j] += factor * P[added, j]
     for i in range(P.shape[0]):
         P[i, to] += factor * P[i, added]
+
+
+@compiled
+def limit_stddev(P: FloatArray, k: int, largest: float) -> None:
+    """Limit the standard deviation of state k, of an angle to that of a uniform one; correlations stay."""
+    if P[k, k] > largest * largest:
+        share = largest / math.sqrt(P[k, k])
+        for j in range(P.shape[0]):
+            P[k, j] *= share
+        for j in range(P.shape[0]):
+            P[j, k] *= share
 
 
 @compiled

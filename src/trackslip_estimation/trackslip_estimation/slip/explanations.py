@@ -238,7 +238,9 @@ def _branch_explanation(
         elif _is_sector_event(e):
             if not is_heading_known:
                 return _FINDING_HEADING, Explanation(_FINDING_HEADING, 0.0, stamp_ns)
-        elif event is not Event.OUTLIER and not (event in _FAULTS and (source, event in _ANGLE_FAULTS) in healthy):
+        elif event is not Event.OUTLIER and not (
+            event in _FAULTS and (source, event in _ANGLE_FAULTS) in healthy
+        ):
             name = sources.names.get(source, "")
             text = _event_text(event, name, name in sources.swings)
             if event is Event.BECAME_JUMP:

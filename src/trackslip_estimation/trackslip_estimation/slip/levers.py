@@ -22,7 +22,8 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.single_state import add_state
+from trackslip_estimation.kalman.single_state import add_state, limit_stddev
+from trackslip_estimation.slip.events import ANY_HEADING
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors, horizontal_twist
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``events.HEADINGS``
 _ROUGH_HEADING = 0.2  # rad, standard deviation; 0.28 within a sector
 _STUCK_STDDEVS = 2.0  # standard deviations of i₀ within which it is 1
-UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
+_UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which σ counts as unknown
 SwungArm = tuple[float, float, float, float]
 
 
@@ -58,6 +59,18 @@ def is_heading_undetermined(state: State) -> bool:
     """Whether the heading is unknown, or hardly known better than to a sector of the circle."""
     is_rough = state.is_sector and state.covariance[YAW, YAW] > _ROUGH_HEADING**2
     return bool(is_heading_unknown(state) or is_rough)
+
+
+@compiled
+def is_swing_unknown(P: FloatArray) -> bool:
+    """Whether the angle of the upper structure is unknown."""
+    return bool(P[SWING, SWING] > _UNKNOWN_SWING**2)
+
+
+@compiled
+def is_sum_known(P: FloatArray) -> bool:
+    """Whether φ + σ is known better than σ: sensors on the upper structure measure the sum."""
+    return bool(P[YAW, YAW] + 2.0 * P[YAW, SWING] < 0.0)
 
 
 @compiled
@@ -88,8 +101,7 @@ def unknown_heading_variance(state: State, source: int, c: Config) -> float:
 def unknown_swing_variance(P: FloatArray, source: int, c: Config) -> float:
     """Variance of a sensor's position by axis, m², where σ is unknown and linearisation fails; else 0."""
     x, y = c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
-    is_known = P[SWING, SWING] <= UNKNOWN_SWING**2
-    return 0.0 if is_known else float(x * x + y * y)
+    return float(x * x + y * y) if is_swing_unknown(P) else 0.0
 
 
 @compiled
@@ -150,25 +162,52 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: flo
     above = c.above[source] == 1
     if above and sign < 0.0:
         _turn_heading(x, P, level, sign)
-    arm = lever(x, level, source, c)
-    x[X] += sign * arm.east
-    x[Y] += sign * arm.north
-    _transform_position_covariance(P, arm.jacobian, sign)
+    to_sensor_position(x, P, level, source, sign, c)
     if above and sign > 0.0:
         _turn_heading(x, P, level, sign)
 
 
 @compiled
-def decouple_unknown_heading(state: State, source: int, c: Config) -> None:
+def to_sensor_position(
+    x: FloatArray, P: FloatArray, level: Level, source: int, sign: float, c: Config
+) -> None:
+    """Transform the position of base_link into that of a sensor (``sign`` 1), or back (−1); in place."""
+    arm = lever(x, level, source, c)
+    x[X] += sign * arm.east
+    x[Y] += sign * arm.north
+    _transform_position_covariance(P, arm.jacobian, sign)
+
+
+@compiled
+def decouple_unknown_angles(state: State, source: int, c: Config) -> None:
     """Set the covariance of an unobservable heading and the position of a sensor to 0, in place.
 
     Linearised at any heading, each error of the tilt would turn the machine about a high antenna, and each
-    error of a slip of 100 % would move it along that heading.
+    error of a slip of 100 % would move it along that heading. An unknown swing angle is decoupled too, and
+    its variance limited to that of a uniform angle.
     """
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    to_sensor(x, P, level, source, 1.0, c)
-    P[YAW, :YAW] = P[:YAW, YAW] = 0.0
-    to_sensor(x, P, level, source, -1.0, c)
+    is_unobservable, above = is_heading_unobservable(state, c), c.above[source] == 1
+    if not (is_unobservable or P[SWING, SWING] > ANY_HEADING**2):
+        return
+    to_sensor_position(x, P, level, source, 1.0, c)
+    if is_unobservable:
+        P[YAW, :YAW] = P[:YAW, YAW] = 0.0
+    if is_unobservable and above and is_swing_unknown(P):
+        P[SWING, :YAW] = P[:YAW, SWING] = 0.0
+    _limit_swing(P)
+    to_sensor_position(x, P, level, source, -1.0, c)
+
+
+@compiled
+def _limit_swing(P: FloatArray) -> None:
+    """Limit the variance of σ to that of a uniform angle; a known sum φ + σ stays; in place."""
+    keeps_sum = is_sum_known(P)
+    if keeps_sum:
+        add_state(P, YAW, SWING, 1.0)
+    limit_stddev(P, SWING, ANY_HEADING)
+    if keeps_sum:
+        add_state(P, YAW, SWING, -1.0)
 
 
 @compiled

@@ -13,7 +13,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import predicted_covariance
-from trackslip_estimation.slip.levers import unknown_heading_variance
+from trackslip_estimation.slip.levers import unknown_heading_variance, unknown_swing_variance
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -55,7 +55,10 @@ def fill_motion(state: State, c: Config, estimate: EstimateRecord) -> None:
     """Fill pose, twist and slips of a record of ``ESTIMATE``, with covariances."""
     fill_outputs(state, c, estimate)
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
-    about_sensor = unknown_heading_variance(state, latest_pose_source(state, c), c)
+    source = latest_pose_source(state, c)
+    about_sensor = unknown_heading_variance(state, source, c)
+    if c.above[source] == 1:
+        about_sensor += unknown_swing_variance(state.covariance, source, c)
     for i in range(YAW):
         estimate.pose_covariance[i, i] += about_sensor
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction

@@ -25,6 +25,7 @@ from trackslip_estimation.kalman import daf
 from trackslip_estimation.kalman.linear_algebra import copy_square, used_size
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
+from trackslip_estimation.kalman.single_state import limit_stddev
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
 from trackslip_estimation.slip.coasting import (
     add_unknown_motion_noise,
@@ -35,8 +36,8 @@ from trackslip_estimation.slip.events import ANY_HEADING
 from trackslip_estimation.slip.late_stamps import propagate_delay
 from trackslip_estimation.slip.levers import (
     UNKNOWN_HEADING,
-    decouple_unknown_heading,
-    is_heading_unobservable,
+    decouple_unknown_angles,
+    is_sum_known,
 )
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
@@ -107,8 +108,8 @@ def step(
         set_manual_pose(state, measurement)
         update.follows = False
     else:
-        if measurement.kind == POSE and is_heading_unobservable(state, c):
-            decouple_unknown_heading(state, measurement.source, c)
+        if measurement.kind == POSE:
+            decouple_unknown_angles(state, measurement.source, c)
         apply_measurement(state, measurement, c, update, prior)
         _clear_known_sector(state)
         _correct_height(state, update, prior)
@@ -174,21 +175,9 @@ def coast(state: State, dt: float, c: Config) -> None:
     state.shear[:] = 0.0
     propagate(state, dt, c)
     add_unknown_motion_noise(state, dt, c)
-    limit_heading(state)
+    if not is_sum_known(state.covariance):
+        limit_stddev(state.covariance[:], YAW, UNKNOWN_HEADING if state.is_sector else ANY_HEADING)
     state.coasting = True
-
-
-@compiled
-def limit_heading(state: State) -> None:
-    """Limit the variance of the heading to that of a uniform angle, on the circle or a sector; in place."""
-    P, largest = state.covariance, UNKNOWN_HEADING if state.is_sector else ANY_HEADING
-    if P[YAW, YAW] <= largest * largest:
-        return
-    share = largest / math.sqrt(P[YAW, YAW])
-    for j in range(SIZE):
-        P[YAW, j] *= share
-    for j in range(SIZE):
-        P[j, YAW] *= share
 
 
 @compiled

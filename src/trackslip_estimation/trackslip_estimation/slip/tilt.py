@@ -30,7 +30,7 @@ from trackslip_estimation.attitude.level import climb_rate_variance
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.kalman.update import correct, independent_observation
-from trackslip_estimation.slip.levers import UNKNOWN_HEADING, UNKNOWN_SWING, swing_lever
+from trackslip_estimation.slip.levers import UNKNOWN_HEADING, is_swing_unknown, swing_lever
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_twist
 from trackslip_estimation.slip.models.model import GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
@@ -72,7 +72,7 @@ def update_attitude(state: State, measurement: MeasurementRecord, bias: int, c: 
     imu.turn, imu.turn_variance, imu.swing_unknown = 0.0, 0.0, 0
     if c.above[source] == 1:
         imu.turn, imu.turn_variance = state.mean[SWING], state.covariance[SWING, SWING]
-        imu.swing_unknown = 1 if imu.turn_variance > UNKNOWN_SWING**2 else 0
+        imu.swing_unknown = 1 if is_swing_unknown(state.covariance) else 0
         swing_lever(imu, state.mean[SWING_RATE], c)
         imu.rates[2] = rate  # the rate of the IMU contains the swing, before the state does
     imu.known_velocity = 0 if state.coasting else 1

@@ -12,7 +12,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.single_state import replace_state
+from trackslip_estimation.kalman.single_state import add_state, replace_state
 from trackslip_estimation.slip.events import (
     ANGLES,
     ANY_HEADING,
@@ -45,7 +45,7 @@ from trackslip_estimation.slip.events import (
     Event,
 )
 from trackslip_estimation.slip.late_stamps import inflate_delay, reset_delay
-from trackslip_estimation.slip.levers import is_heading_unknown, to_sensor
+from trackslip_estimation.slip.levers import is_heading_unknown, is_sum_known, to_sensor_position
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
     DOWNHILL,
@@ -59,6 +59,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, TURN_STATE_2
+from trackslip_estimation.slip.observations.heading import compass_offset
 from trackslip_estimation.slip.records import BRAKE, GYROS, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_FAILED,
@@ -310,8 +311,10 @@ def _reset_sector(state: State, c: Config) -> int:
     """Reset a heading known to a sector, about the latest antenna: the machine has not moved as assumed."""
     if not state.is_sector:
         return 0
-    state.is_sector = False
-    return _turn_about_sensor(state, latest_pose_source(state, c), c.prior_mean[YAW], ANY_HEADING**2, c)
+    state.is_sector, about = False, latest_pose_source(state, c)
+    return _turn_about_sensor(
+        state, about, c.prior_mean[YAW], ANY_HEADING**2, is_sum_known(state.covariance), c
+    )
 
 
 @compiled
@@ -320,11 +323,13 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     x, is_measured, was_unknown = state.mean, e.part == MEASURED, is_heading_unknown(state)
     about = latest_pose_source(state, c) if is_measured else e.source
     turn, variance = (0.0, (math.pi / HEADINGS) ** 2) if is_measured else sector_angle(e.part)
+    keeps_sum = is_sum_known(state.covariance)
     if is_measured:
-        turn = wrap(e.value - c.heading_offset[e.source] - x[YAW])
-    swing = x[SWING] if c.above[about] == 1 else 0.0
+        turn = wrap(e.value - compass_offset(state, e.source, c) - x[YAW])
+    if is_measured and c.above[e.source] == 1:  # the sum
+        variance, keeps_sum = variance + state.covariance[SWING, SWING], False
     state.is_sector = not is_measured
-    reset_states = _turn_about_sensor(state, about, wrap(x[YAW] + turn + swing), variance, c)
+    reset_states = _turn_about_sensor(state, about, wrap(x[YAW] + turn), variance, keeps_sum, c)
     if has_velocity_errors(c):
         for k in _LEARNED_BY_HEADING:
             reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
@@ -334,13 +339,22 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
 
 
 @compiled
-def _turn_about_sensor(state: State, source: int, heading: float, variance: float, c: Config) -> int:
-    """Reset the heading that a sensor has; its position stays. Return the reset states."""
+def _turn_about_sensor(
+    state: State, source: int, heading: float, variance: float, keeps_sum: bool, c: Config
+) -> int:
+    """Reset the heading; position of a sensor, and swing or ``keeps_sum``, stay. Return the reset states."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    to_sensor(x, P, level, source, 1.0, c)
-    reset_states = _reset_state(state, YAW, heading, variance, c)
-    to_sensor(x, P, level, source, -1.0, c)
-    return reset_states | _POSITION
+    to_sensor_position(x, P, level, source, 1.0, c)
+    if keeps_sum:
+        x[SWING] += x[YAW]
+        add_state(P, SWING, YAW, 1.0)
+    reset_states = _POSITION | _reset_state(state, YAW, heading, variance, c)
+    if keeps_sum:
+        x[SWING] = wrap(x[SWING] - x[YAW])
+        add_state(P, SWING, YAW, -1.0)
+        reset_states |= 1 << SWING
+    to_sensor_position(x, P, level, source, -1.0, c)
+    return reset_states
 
 
 @compiled

@@ -23,6 +23,7 @@ from trackslip_estimation.slip.correlated_errors import (
     reset_receiver,
 )
 from trackslip_estimation.slip.events import TURNED
+from trackslip_estimation.slip.levers import is_swing_unknown
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -79,7 +80,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     """Update the receiver of row k with fix k, against the displacement of the most probable branch.
 
     The displacement is unusable if it was driven with an unknown heading. So is a precise fix while an event
-    holds its offset.
+    holds its offset, and any fix of a receiver on an upper structure of unknown angle.
     """
     m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
     n = pose_source_number(m.source, c)
@@ -87,6 +88,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
     is_off = update.coarse == 0 and not is_trusted(state, m.source, POSE)
+    is_off = is_off or (c.above[m.source] == 1 and is_swing_unknown(prior_of(window, k).covariance))
     distance = math.hypot(of.displacement[X], of.displacement[Y])
     if is_off or (heading >= c.receivers.most_spread and distance >= c.bank.least_distance):
         if of.status != NO_FIX:
