@@ -142,6 +142,13 @@ def test_positions_coarser_than_their_stddev_are_refused(
     assert len(import_csv(tmp_path, text, topics)[1]) == len(rows)
 
 
+def test_shortened_digits_of_floats_are_refused(tmp_path: Path) -> None:
+    """Latitudes of 32 bit floats are 0.42 m apart here; their six digits after the point make that uneven."""
+    rows = [f"{k},{np.float32(48.1 + 2e-4 * math.sin(k / 100))!s},11.6" for k in range(900)]
+    with pytest.raises(InputError, match="column 'lat' is rounded by 0.12 m"):
+        import_csv(tmp_path, "\n".join(("t,lat,lon", *rows, "")), {"gnss_pose": {**CSV, **STDDEV}})
+
+
 def held_rows(places: list[tuple[float, float]], times: int) -> list[str]:
     """Rows of a table in which each place comes several times, as beside a faster sensor."""
     rows = [place for place in places for _ in range(times)]

@@ -190,7 +190,10 @@ def _cells(name: str, column: object) -> NDArray[Any]:
     if cells.dtype.kind == "O":
         return np.array([str(cell) for cell in cells])
     if cells.dtype.kind not in _TEXT_KINDS:
-        raise InputError(f"frame: column '{name}' holds {cells.dtype}; accepted: numbers, dates or text")
+        remedy = ", as of .dt.total_seconds()" if cells.dtype.kind == "m" else ""
+        raise InputError(
+            f"frame: column '{name}' holds {cells.dtype}; accepted: numbers{remedy}, dates or text"
+        )
     return cells
 
 

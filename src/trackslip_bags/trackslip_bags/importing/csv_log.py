@@ -33,6 +33,7 @@ _RESTARTS_NS = {  # ns after which times begin again, by their unit, and the lea
     "": ((604_800 * 10**9, 2**32 * 10**3, 2**32 * 10**6), 0.99),  # GPS week, 32 bit of µs and ms
 }
 _MIN_ROWS = 3  # rows of a topic, which need more than one time
+_LEAST_FLOATS, _MOST_FLOATS = 50, 1000  # values that are tried for the digits of 32 bit floats
 _EARTH_RADIUS = 6.37e6  # m per radian of latitude
 _HELD = {  # role → columns that a log may hold
     **dict.fromkeys(("pose", "fix"), (("latitude", "longitude"), ("x", "y"))),
@@ -186,12 +187,23 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, variances: Val
         if name not in columns:
             continue
         stated = float(np.sqrt(np.median(variances[axis])))
-        rounding = rounding_of(metres[name] * columns[name], stated)
+        column = topic.columns[name]
+        floats = _as_floats(table.numbers[column.names[0]]) * column.factor
+        rounding = max(rounding_of(metres[name] * values, stated) for values in (columns[name], floats))
         if rounding > LEAST_ROUNDING_RATIO * stated:
             place = f"{table.path}: column '{topic.columns[name].names[0]}'"
             has = f"is rounded by {rounding:.2g} m, and stddev of {axis} is {stated:.2g} m"
             accepted = f"{MORE_DIGITS}, or {rounding:.2g} m or more"
             raise InputError(f"{place} {has}; accepted: {accepted}")
+
+
+def _as_floats(numbers: FloatArray) -> FloatArray:
+    """The finite ones of (n,) numbers as 32 bit floats hold them; none if they are no shortened such floats."""
+    numbers = numbers[np.isfinite(numbers)]
+    floats = numbers.astype(np.float32)
+    some = zip(numbers[:_MOST_FLOATS].tolist(), floats, strict=False)
+    is_float = len(numbers) >= _LEAST_FLOATS and all(repr(number) == str(value) for number, value in some)
+    return floats[: len(numbers) if is_float else 0].astype(np.float64)
 
 
 def _present_values(numbers: FloatArray, column: Column) -> FloatArray:
