@@ -142,6 +142,26 @@ def test_positions_coarser_than_their_stddev_are_refused(
     assert len(import_csv(tmp_path, text, topics)[1]) == len(rows)
 
 
+@pytest.mark.parametrize(
+    ("latitude", "is_refused"), [(math.radians(48.1), True), (0.001, False), (4.9, False)]
+)
+def test_radians_declared_as_degrees_are_refused(
+    latitude: float, *, is_refused: bool, tmp_path: Path
+) -> None:
+    """No land is within π/2 and π degrees of 0, 0, where simulations are; no angle of land is that near to it."""
+    text = (
+        "t,lat,lon\n"
+        + "".join(f"{k},{latitude + 1e-7 * k},-0.002\n" for k in range(4))
+        + "4,,\n5,,\n6,,\n7,,\n8,,\n"
+    )
+    topics = {"gnss_pose": {**CSV, **STDDEV}}
+    if is_refused:
+        with pytest.raises(InputError, match=r"sea off Africa; accepted: unit: rad"):
+            import_csv(tmp_path, text, topics)
+    else:
+        assert len(import_csv(tmp_path, text, topics)[1]) == 4
+
+
 def test_shortened_digits_of_floats_are_refused(tmp_path: Path) -> None:
     """Latitudes of 32 bit floats are 0.42 m apart here; their six digits after the point make that uneven."""
     rows = [f"{k},{np.float32(48.1 + 2e-4 * math.sin(k / 100))!s},11.6" for k in range(900)]

@@ -35,6 +35,7 @@ _RESTARTS_NS = {  # ns after which times begin again, by their unit, and the lea
 _MIN_ROWS = 3  # rows of a topic, which need more than one time
 _LEAST_FLOATS, _MOST_FLOATS = 50, 1000  # values that are tried for the digits of 32 bit floats
 _EARTH_RADIUS = 6.37e6  # m per radian of latitude
+_LEAST_ANGLE = 0.05  # rad from 0, 0, of any place on land; simulations have places nearer to it, in deg
 _HELD = {  # role → columns that a log may hold
     **dict.fromkeys(("pose", "fix"), (("latitude", "longitude"), ("x", "y"))),
     "heading": (("yaw",), ("heading",), QUATERNION[2:]),
@@ -198,7 +199,7 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, variances: Val
 
 
 def _as_floats(numbers: FloatArray) -> FloatArray:
-    """The finite ones of (n,) numbers as 32 bit floats hold them; none if they are no shortened such floats."""
+    """(n,) finite numbers as the 32 bit floats of which they are the shortest text; none if they are not."""
     numbers = numbers[np.isfinite(numbers)]
     floats = numbers.astype(np.float32)
     some = zip(numbers[:_MOST_FLOATS].tolist(), floats, strict=False)
@@ -400,4 +401,13 @@ def _is_at_origin(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArra
             accepted = f"-{limit:g} … {limit:g} deg (or {other} in the mapping)"
             raise InputError(f"{place}: {value:g} deg is no {name}; accepted: {accepted}")
     nowhere: BoolArray = (columns["latitude"] == 0.0) & (columns["longitude"] == 0.0)
+    is_place = ~nowhere & np.isfinite(columns["latitude"]) & np.isfinite(columns["longitude"])
+    latitude, longitude = (np.degrees(columns[name][is_place]) for name in ("latitude", "longitude"))
+    are_angles = (np.abs(latitude) < np.pi / 2.0) & (np.abs(longitude) < np.pi)
+    are_angles &= np.hypot(latitude, longitude) > _LEAST_ANGLE
+    if 2 * np.count_nonzero(are_angles) > len(are_angles):
+        raise InputError(
+            f"{topic.where}: {table.path} has latitude {np.median(latitude):.4f}, longitude "
+            f"{np.median(longitude):.4f} deg, in the sea off Africa; accepted: unit: rad, if it is radians"
+        )
     return nowhere
