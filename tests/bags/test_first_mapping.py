@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from trackslip_bags.importing.first_mapping import FirstMapping, first_mapping
+from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
@@ -189,6 +190,44 @@ def test_units_of_a_line_below_the_names_are_those_of_the_columns(tmp_path: Path
     units = "(ms),[km/h],km/h,deg/s"
     columns = mapping_of(tmp_path, "t,v_left,v_right,yaw_rate", f"{units}\n0,1,1,1\n20,1,1,1").columns
     assert [text.partition(", ")[2] for text in columns.values()] == ["ms", "km/h", "km/h", "deg/s"]
+
+
+TABLES_BEHIND_TEXT = {
+    "TOA5": """"TOA5","CR1000X","digger","12345","CR1000X.Std.04","CPU:d.CR1X","5432","Fast"
+"TIMESTAMP","RECORD","left_speed","right_speed"
+"TS","RN","km/h","km/h"
+"","","Smp","Smp"
+"2026-11-25 14:30:00.05",1,1.5,1.6
+"2026-11-25 14:30:00.1",2,1.5,1.6
+""",
+    "InfluxDB": """#group,false,false
+#datatype,dateTime:RFC3339,double
+_time,left_speed_kmh,right_speed_kmh
+2026-11-25T14:30:00.05Z,1.5,1.6
+2026-11-25T14:30:00.1Z,1.5,1.6
+""",
+    "MoTeC": """"Format","MoTeC CSV File"
+"Sample Rate","20","Hz"
+
+"Time","Left Speed","Right Speed"
+"s","km/h","km/h"
+
+
+"0.05","1.5","1.6"
+"0.1","1.5","1.6"
+""",
+}
+
+
+@pytest.mark.parametrize("text", TABLES_BEHIND_TEXT.values(), ids=TABLES_BEHIND_TEXT)
+def test_names_behind_text_are_those_over_the_rows(text: str, tmp_path: Path) -> None:
+    log, mapping = tmp_path / "log.csv", tmp_path / "mapping.yaml"
+    log.write_text(text, encoding="utf-8")
+    first = first_mapping(log, "excavator_20t", {})
+    assert first.columns["left_velocity"].endswith("km/h")
+    mapping.write_text(first.text, encoding="utf-8")
+    imported = import_log([log], read_mapping(mapping), tmp_path / "bag")
+    assert imported.counts["/sprockets"] == 2
 
 
 def test_decimal_commas_are_stated(tmp_path: Path) -> None:

@@ -148,12 +148,9 @@ def test_positions_coarser_than_their_stddev_are_refused(
 def test_radians_declared_as_degrees_are_refused(
     latitude: float, *, is_refused: bool, tmp_path: Path
 ) -> None:
-    """No land is within π/2 and π degrees of 0, 0, where simulations are; no angle of land is that near to it."""
-    text = (
-        "t,lat,lon\n"
-        + "".join(f"{k},{latitude + 1e-7 * k},-0.002\n" for k in range(4))
-        + "4,,\n5,,\n6,,\n7,,\n8,,\n"
-    )
+    """No land is within π/2 and π degrees of 0, 0, where simulations are; no radians of land are near."""
+    rows = [f"{k},{latitude + 1e-7 * k},-0.002" for k in range(4)]
+    text = "\n".join(("t,lat,lon", *rows, *(f"{k},," for k in range(4, 9)), ""))
     topics = {"gnss_pose": {**CSV, **STDDEV}}
     if is_refused:
         with pytest.raises(InputError, match=r"sea off Africa; accepted: unit: rad"):
@@ -165,7 +162,7 @@ def test_radians_declared_as_degrees_are_refused(
 def test_shortened_digits_of_floats_are_refused(tmp_path: Path) -> None:
     """Latitudes of 32 bit floats are 0.42 m apart here; their six digits after the point make that uneven."""
     rows = [f"{k},{np.float32(48.1 + 2e-4 * math.sin(k / 100))!s},11.6" for k in range(900)]
-    with pytest.raises(InputError, match="column 'lat' is rounded by 0.12 m"):
+    with pytest.raises(InputError, match=r"column 'lat' is rounded by 0\.12 m"):
         import_csv(tmp_path, "\n".join(("t,lat,lon", *rows, "")), {"gnss_pose": {**CSV, **STDDEV}})
 
 

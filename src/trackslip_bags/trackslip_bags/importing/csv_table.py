@@ -179,7 +179,7 @@ class _Reader:
     def _blocks(self) -> Iterator[_Block]:
         is_first = not self._head.has_rows
         while rows := list(islice(self._rows(), _BLOCK)):
-            if is_first and self._is_units(rows[0][1]):
+            while is_first and rows and self._is_units(rows[0][1]):
                 self.notes.append(f"{self._path.name}: line {rows[0][0]} is taken for units")
                 rows = rows[1:]
             is_first = False

@@ -169,7 +169,9 @@ def _likely_head(path: Path, lines: list[str], first: int, stated: str) -> Head:
             continue
         if not _is_row(line):
             delimiter = stated or _guess_delimiter(line)
-            return Head(split_cells(line, delimiter), delimiter, k, False)
+            return _head_as_wide_as_rows(lines, stated) or Head(
+                split_cells(line, delimiter), delimiter, k, False
+            )
         if comment:
             break
         raise InputError(
@@ -178,6 +180,17 @@ def _likely_head(path: Path, lines: list[str], first: int, stated: str) -> Head:
         )
     delimiter = stated or _guess_delimiter(comment)
     return Head(split_cells(comment, delimiter), delimiter, at, True)
+
+
+def _head_as_wide_as_rows(lines: list[str], stated: str) -> Head | None:
+    """The first line without numbers that has as many cells as the rows, else one less; or None."""
+    at = next((k for k, line in enumerate(lines) if _is_row(line)), 0)
+    delimiter = stated or _guess_delimiter(lines[at])
+    width = len(split_cells(lines[at], delimiter))
+    texts_above = ((k, line) for k, line in enumerate(lines[:at], 1) if not line.lstrip().startswith(COMMENT))
+    heads = [Head(split_cells(line, delimiter), delimiter, k, False) for k, line in texts_above]
+    heads = [head for head in heads if not any(re.fullmatch(r"[+-]?[\d.]+", name) for name in head.names)]
+    return next((head for less in (0, 1) for head in heads if len(head.names) == width - less), None)
 
 
 def _guess_delimiter(line: str, decimal_comma: bool = False) -> str:

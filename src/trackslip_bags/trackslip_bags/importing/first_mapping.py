@@ -269,8 +269,9 @@ def _read_table(log: Path) -> _Table:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{log}: cannot be read ({error})") from error
     rows = [row for row in rows if len(row) >= len(head.names)]
-    has_units = bool(rows) and not any(re.match(r"[+-]?\.?\d", cell) for cell in rows[0])
-    units = dict(zip(head.names, rows.pop(0), strict=False)) if has_units else {}
+    first = next((k for k, row in enumerate(rows) if any(re.match(r"[+-]?\.?\d", cell) for cell in row)), 0)
+    units = dict(zip(head.names, rows[0], strict=False)) if first else {}
+    rows = rows[first:]
     cells = {name: [row[k] for row in rows if row[k]] for k, name in enumerate(head.names) if name}
     has_commas = any(DECIMAL_COMMA.fullmatch(cell) for column in cells.values() for cell in column)
     return _Table(cells, units, has_commas)
