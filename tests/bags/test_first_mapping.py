@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first mapping of a CSV log: columns are found by their names, and guesses are marked."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,7 @@ def mapping_of(folder: Path, names: str, rows: str = "") -> FirstMapping:
         ("t_s,Kette links [U/min],Kette rechts [U/min]", ["Kette links [U/min], rpm"], 0),
         ("t_s,Kette_links_km/h,Kette_rechts_km/h", ["Kette_links_km/h, km/h"], 0),
         ("t_s,Drive Motor Speed L [rpm],Drive Motor Speed R [rpm]", ["Drive Motor Speed L [rpm], rpm"], 0),
+        ("t_s,left [ft/s],right [km/hr],heading [gon]", ["left [ft/s], ft/s", "right [km/hr], km/h"], 0),
         ("t_s,l_speed_mm_s,r_speed_mm_s", ["l_speed_mm_s, mm/s"], 0),
         ("t_s,vitesse_gauche,vitesse_droite", ["vitesse_gauche, m/s"], 2),
         ("t_s,Dist0,Dist1", ["Dist0, m", "Dist1, m"], 4),  # ArduPilot
@@ -257,6 +259,22 @@ def test_a_first_mapping_is_one_that_import_accepts(names: str, tmp_path: Path) 
 def test_a_log_without_speeds_is_refused_with_its_columns(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"left_velocity or left_position.* among t, left_pressure, lat"):
         mapping_of(tmp_path, "t,left_pressure,lat")
+
+
+def test_an_unknown_unit_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unit of 'left \[fpm\]' is unknown; unit of 'right \[fpm\]'"):
+        mapping_of(tmp_path, "t_s,left [fpm],right [fpm],yaw_rate [deg/s],temperature [K]")
+
+
+@pytest.mark.parametrize(
+    ("turn", "unit"), [(2.0 * math.pi, "rad"), (360.0, "deg"), (400.0, "gon"), (3.0, "deg")]
+)
+def test_unit_of_headings_is_that_of_their_full_turn(turn: float, unit: str, tmp_path: Path) -> None:
+    headings = [(0.33 + 0.05 * k) % 1.0 * turn for k in range(20)]
+    rows = "\n".join(f"{k},1,1,{heading:.4f}" for k, heading in enumerate(headings))
+    first = mapping_of(tmp_path, "t_s,left_mps,right_mps,heading", rows)
+    assert first.columns["heading"] == f"heading, {unit}"
+    assert f"unit of heading: {unit}" in first.guessed
 
 
 def test_counts_are_turns_of_a_guessed_number_and_differences_are_increments(tmp_path: Path) -> None:

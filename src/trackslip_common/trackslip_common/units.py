@@ -27,7 +27,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
             "d": 86400.0,
         },
         "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048},
-        "angle": {"rad": 1.0, "deg": _DEG, "°": _DEG, "mrad": 1e-3, "rev": 2.0 * math.pi},
+        "angle": {"rad": 1.0, "deg": _DEG, "°": _DEG, "gon": 0.9 * _DEG, "mrad": 1e-3, "rev": 2.0 * math.pi},
         "angular rate": {
             "rad/s": 1.0,
             "deg/s": _DEG,
@@ -44,6 +44,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
             "cm/s": 1e-2,
             "mm/s": 1e-3,
             "m/min": 1.0 / 60.0,
+            "ft/s": 0.3048,
             "mph": 0.44704,
             "kn": 1852.0 / 3600.0,
         },

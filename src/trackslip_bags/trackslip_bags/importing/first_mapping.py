@@ -30,6 +30,7 @@ _UNIT_SPELLINGS = {
     **{unit.replace("/", "_"): unit for units in UNITS.values() for unit in units if unit[0] not in "1°"},
     "kmh": "km/h",
     "kph": "km/h",
+    "km/hr": "km/h",
     "mps": "m/s",
     "rads": "rad/s",
     "degs": "deg/s",
@@ -217,8 +218,11 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         if not set(either) & fields.keys()
     ]
     if lacking:
+        units = "".join(
+            f"; unit of '{name}' is unknown" for name in table.cells if _has_unknown_unit(name, table)
+        )
         raise InputError(
-            f"{log}: no column looks like {', '.join(lacking)} among {', '.join(table.cells)}; "
+            f"{log}: no column looks like {', '.join(lacking)} among {', '.join(table.cells)}{units}; "
             "accepted: --mapping with a file that names them (docs/import.md)"
         )
     topics: dict[str, dict[str, Any]] = {}
@@ -325,6 +329,13 @@ def _find_column(kind: _FieldKind, table: _Table) -> _FieldColumns | None:
     return None
 
 
+def _has_unknown_unit(name: str, table: _Table) -> bool:
+    """Whether only the unit that a column states keeps it from a field."""
+    stem, unit = next(_interpretations(name, table.units.get(name, "")))
+    is_known = not unit or any(unit in units for units in _UNITS.values())
+    return not is_known and any(re.fullmatch(kind.names, stem) for kind in _FIELD_KINDS)
+
+
 def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: str) -> _FieldColumns:
     """A column of a kind, with unit, scale and guesses by its name and values."""
     scale, words = kind.scale, re.findall(r"[^\W\d_]+|\d+", stem)
@@ -359,6 +370,11 @@ def _field_columns(kind: _FieldKind, table: _Table, name: str, stem: str, unit: 
 
 def _unit_by_values(kind: _FieldKind, table: _Table, name: str) -> tuple[str, bool]:
     """Unit by the values of a column, and whether it is certain: by a date it is, by a period it is not."""
+    if kind.field == "heading":  # by the step from a full turn to zero
+        values = table.numbers(name)
+        step, largest = (np.abs(v).max(initial=0.0) for v in (np.diff(values), values))
+        is_rad = np.pi < step <= largest <= 2.0 * np.pi
+        return "rad" if is_rad else "gon" if 360.0 < step <= largest <= 400.0 else kind.usual, False
     if kind.field != "time" or not table.cells[name]:
         return kind.usual, False
     if unit := likely_unit(table.cells[name][0]):
