@@ -247,6 +247,18 @@ def test_a_standstill_names_the_motion_that_is_needed() -> None:
     assert result.undetermined
 
 
+def test_tracks_that_never_count_while_fixes_move_are_named() -> None:
+    """As of odometry whose twist is left empty."""
+    log = make_drive()
+    result = check(log.with_tracks(0.0 * np.eye(2)))
+    assert not result.is_plausible
+    assert "never turn while" in result.headline
+    (fixes,) = log.fixes
+    wander = np.cumsum(np.random.default_rng(3).normal(scale=0.02, size=fixes.places.shape), axis=0)
+    still = replace(log, fixes=(replace(fixes, places=wander, stddevs=np.full(len(fixes.t), 1.0)),))
+    assert check(still.with_tracks(0.0 * np.eye(2))).is_plausible
+
+
 def exchanged_axes(log: Log, direction: float) -> Log:
     """East and north exchanged, where a degree of longitude is longer than one of latitude in metres."""
     (fixes,) = log.fixes

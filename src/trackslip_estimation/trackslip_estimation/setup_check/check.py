@@ -83,7 +83,7 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     findings.add(causes)
     log = replace(log, fixes=tuple(with_measured_noise(source) for source in fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
-        findings.add([_STANDSTILL_QUESTION])
+        findings.add(unmoved.judge_dead_tracks(log) or [_STANDSTILL_QUESTION])
         return []
     log, drive = _correct_quantities(log, findings)
     rough = speeds.rough_scale(drive)

@@ -10,7 +10,8 @@ from trackslip_estimation.setup_check.drive import HEADING_NOISE, USUAL_EFFICIEN
 from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.finding import LEAST_LOG, READ_OFF, Cause, Finding, OpenQuestion
 from trackslip_estimation.setup_check.grid import WINDOW, running_sum, window_sums
-from trackslip_estimation.setup_check.log import Fixes, Gyro
+from trackslip_estimation.setup_check.log import Fixes, Gyro, Log
+from trackslip_estimation.setup_check.path import thin_fixes
 from trackslip_estimation.setup_check.quantities import explained_distance, explained_share
 from trackslip_estimation.setup_check.sides import FASTEST
 from trackslip_estimation.setup_check.speeds import MOST_TURN
@@ -18,6 +19,7 @@ from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns
 
 _LEAST_DISTANCE = 10.0  # m, by the tracks
 _LEAST_EXTENT = 5e-3  # m, extent of the fixes of any receiver within minutes
+_ERRORS, _SPACING = 10.0, 1.0  # standard deviations of wandering fixes; s between those that show motion
 _STILL = 1e-4  # extent of the fixes, share of the distance: no path is so narrow
 _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the distance
@@ -88,6 +90,20 @@ def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
     is_held = last - first > _LONGEST_HOLD
     begin, end = (np.interp(t[is_held], drive.grid.edges, distances) for t in (first, last))
     return float(np.sum(end - begin))
+
+
+def judge_dead_tracks(log: Log) -> list[Finding]:
+    """Fixes that move farther than their errors, or a swing, explain, of tracks that never count."""
+    for fixes in log.fixes:
+        places = thin_fixes(fixes, _SPACING).places
+        if len(places) >= _LEAST_PLACES:
+            low, high = np.percentile(places, (5.0, 95.0), axis=0)
+            extent = float(np.hypot(*(high - low)))
+            if extent > _LEAST_DISTANCE + _ERRORS * fixes.noise:
+                what = f"sprockets that never turn while {fixes.name} moves by {extent:.0f} m"
+                needed = "record the topic or column that holds their speeds (not moved by a trailer)"
+                return [OpenQuestion(what, needed, is_wrong=True)]
+    return []
 
 
 def judge_turns(drive: Drive) -> list[Finding]:
