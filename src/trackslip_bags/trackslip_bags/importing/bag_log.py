@@ -19,7 +19,7 @@ from trackslip_bags.importing.bag_readings import (
     joint_names,
 )
 from trackslip_bags.importing.joints import PARTIAL, JointsByStamp
-from trackslip_bags.importing.local import LocalFrame, place_of
+from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import JOINT, NEEDS_GEOMETRY, SIDES, BagTopic
 from trackslip_bags.importing.robot_bags import LoggedMessage, RobotLog, Ros1Bags, Ros2Bag
 from trackslip_bags.importing.role_values import pose_covariance, values_of
@@ -185,9 +185,7 @@ class _Collector:
             if not chosen.rows.any():
                 raise InputError(self._no_variance_text(axis))
         if "latitude" in columns:
-            where = f"{self.topic.where}: {self.topic.source}"
-            for reason, rejected in local.rejections(place_of(columns), chosen.rows, where):
-                chosen.reject(rejected, reason)
+            local.reject(chosen, columns, f"{self.topic.where}: {self.topic.source}")
             return
         has_heading = chosen.rows & np.isfinite(columns["yaw"])
         if has_heading.any() and not (has_heading & has_variance[:, 2]).any():

@@ -14,7 +14,7 @@ from trackslip_bags.importing.columns import CLOCK, DEGREES_MINUTES, FIRST, MINU
 from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, joined, read_table
 from trackslip_bags.importing.csv_text import MAX_LINE_LENGTH
 from trackslip_bags.importing.fix_quality import least_variances, status_of
-from trackslip_bags.importing.local import LocalFrame, place_of
+from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.role_values import values_of
 from trackslip_bags.importing.roles import QUATERNION, ROLES
@@ -138,9 +138,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     if "latitude" in columns:
         chosen.reject(_is_at_origin(table, topic, columns), "latitude and longitude are 0")
     if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
-        place, where = place_of(columns), f"{topic.where}: {table.path}"
-        for reason, rejected in local.rejections(place, chosen.rows, where):
-            chosen.reject(rejected, reason)
+        local.reject(chosen, columns, f"{topic.where}: {table.path}")
     rows = chosen.rows
     _check_times(table, topic, stamps_ns[rows])
     if not rows.any():

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from trackslip_bags.importing.samples import SelectedRows
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
@@ -28,14 +29,15 @@ class LocalFrame:
         limits = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",))
         self._reach = limits.max_distance
 
-    def rejections(self, place: FloatArray, among: BoolArray, where: str) -> list[tuple[str, BoolArray]]:
-        """Reasons to leave out some of the positions ``among``, (n,) of bool, not empty; and (n,) which.
+    def reject(self, chosen: SelectedRows, columns: Mapping[str, FloatArray], where: str) -> None:
+        """Leave out the chosen positions, one or more, that are none or off the map.
 
-        ``place``: (n, 3) latitude and longitude, rad, and altitude, m; ``where`` begins an error's message.
+        ``where`` begins an error's message.
 
         Raises:
             InputError: all of them are to be left out.
         """
+        place, among = place_of(columns), chosen.rows.copy()
         is_none: BoolArray = (np.abs(place[:, 0]) > math.pi / 2.0) | (np.abs(place[:, 1]) > math.pi)
         reasons = {Reason.OUT_OF_RANGE: among & is_none, Reason.NOT_A_NUMBER: among & np.isinf(place[:, 2])}
         good = among & ~(reasons[Reason.OUT_OF_RANGE] | reasons[Reason.NOT_A_NUMBER])
@@ -50,10 +52,11 @@ class LocalFrame:
                 reasons[reason] = rows
         if np.logical_or.reduce(list(reasons.values()))[among].all():
             raise InputError(self._all_rejected_text(place, int(among.argmax()), where, reasons))
-        return [(reason.value, rows) for reason, rows in reasons.items()]
+        for reason, rows in reasons.items():
+            chosen.reject(rows, reason.value)
 
     def with_east_north(self, columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Columns with ``x`` and ``y``, m, of positions that ``rejections`` accepts; others as they are."""
+        """Columns with ``x`` and ``y``, m, of positions that ``reject`` keeps; others as they are."""
         if "latitude" not in columns:
             return dict(columns)
         place = place_of(columns)

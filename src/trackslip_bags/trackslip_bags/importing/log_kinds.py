@@ -31,49 +31,35 @@ class LogKind(Enum):
 
 _CANDUMP = rb"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#"
 _CANDUMP_SCREEN = rb"\s*(?:\([-\d:. ]+\)\s+)?\S+\s+(?:[RT]X\s.*)?[0-9A-Fa-f]{3,8}\s+\[\d+\]\s"
+_CAN_TABLE = rb"(?i)\"?time ?stamp\"?,\"?(?:id|arbitration_id)\"?,"
+_OTHER_CAN = (
+    rb"\*\*\*BUSMASTER|t[0-9A-Fa-f]{3}[0-8][0-9A-Fa-f]*\r"
+    rb"|\s*\d+\s+[0-9A-Fa-f]{3,8}X?\s+[0-8]\s(?:\s*\d+)+\.\d+\s+[RT]\b"
+)
 _NMEA = rb"\s*\$(?:[A-Z]{5},|P[A-Z]{3,4}[,0-9]|KSXT,)"
+_BASE64 = rb"\s*(?:JEd|JFB|tW[IJKL])[0-9A-Za-z+/\s]{60}"
+_HEX = rb"\s*(?:0x)?(?:24|[bB]5)(?:[\s,:]*(?:0x)?[0-9A-Fa-f]{2}){30}"
+_NOVATEL = rb"\s*[#%][A-Z0-9]+A,|\xaa\x44[\x12\x13\xb5]"
 _SET_NMEA = "record NMEA with GGA, or UBX with NAV-PVT"
 _SAVE_CAN = "save it as candump -L, ASC, BLF or TRC"
 _AS_BYTES = "save its bytes"
 _KINDS: tuple[tuple[bytes, LogKind, str], ...] = (
     (_CANDUMP, LogKind.CAN, "log of a CAN bus (candump)"),
     (_CANDUMP_SCREEN, LogKind.OTHER, "log of a CAN bus as candump shows it (record it with candump -L)"),
-    (
-        rb"(?i)\"?time ?stamp\"?,\"?(?:id|arbitration_id)\"?,",
-        LogKind.OTHER,
-        f"log of a CAN bus as CSV ({_SAVE_CAN})",
-    ),
-    (
-        rb"\*\*\*BUSMASTER|t[0-9A-Fa-f]{3}[0-8][0-9A-Fa-f]*\r",
-        LogKind.OTHER,
-        f"log of a CAN bus ({_SAVE_CAN})",
-    ),
-    (
-        rb"\s*\d+\s+[0-9A-Fa-f]{3,8}X?\s+[0-8]\s(?:\s*\d+)+\.\d+\s+[RT]\b",
-        LogKind.OTHER,
-        f"log of a CAN bus ({_SAVE_CAN})",
-    ),
+    (_CAN_TABLE, LogKind.OTHER, f"log of a CAN bus as CSV ({_SAVE_CAN})"),
+    (_OTHER_CAN, LogKind.OTHER, f"log of a CAN bus ({_SAVE_CAN})"),
     (rb"LOGG", LogKind.CAN, "log of a CAN bus (BLF)"),
     (rb"(?:MDF  |UnFinMF )[^\0]{3}[0-3]", LogKind.OTHER, "MDF before version 4 (save it as MF4)"),
     (rb"(?:MDF |UnFinMF)", LogKind.CAN, "log of a CAN bus (MF4)"),
     (rb"\s*(?:;[^\n]*\n)*(?:;\$FILEVERSION|\s*1\)\s+\d)", LogKind.CAN, "log of a CAN bus (TRC)"),
     (rb"(?:date [^\n]*\n|\s*//[^\n]*\n)*\s*base\s+(?:hex|dec)", LogKind.CAN, "log of a CAN bus (ASC)"),
-    (rb"\s*[#%][A-Z0-9]+A,", LogKind.OTHER, f"log of NovAtel or Unicore messages ({_SET_NMEA})"),
+    (_NOVATEL, LogKind.OTHER, f"log of NovAtel or Unicore messages ({_SET_NMEA})"),
     (rb"\s*G[A-Z](?:GGA|RMC|GSV|GLL|VTG|GSA|ZDA),", LogKind.OTHER, "log of NMEA sentences without their $"),
-    (
-        rb"\s*(?:JEd|JFB|tW[IJKL])[0-9A-Za-z+/\s]{60}",
-        LogKind.OTHER,
-        f"receiver's log as base64 ({_AS_BYTES})",
-    ),
-    (
-        rb"\s*(?:0x)?(?:24|[bB]5)(?:[\s,:]*(?:0x)?[0-9A-Fa-f]{2}){30}",
-        LogKind.OTHER,
-        f"receiver's log as hex ({_AS_BYTES})",
-    ),
+    (_BASE64, LogKind.OTHER, f"receiver's log as base64 ({_AS_BYTES})"),
+    (_HEX, LogKind.OTHER, f"receiver's log as hex ({_AS_BYTES})"),
     (_NMEA, LogKind.GNSS, "log of a GNSS receiver (NMEA)"),
     (rb"\xb5\x62", LogKind.GNSS, "log of a GNSS receiver (UBX)"),
     (rb"\$@[^\0-\x1f]|\$@[\s\S]{6}", LogKind.OTHER, f"log of Septentrio, SBF ({_SET_NMEA})"),
-    (rb"\xaa\x44[\x12\x13\xb5]", LogKind.OTHER, f"log of NovAtel or Unicore messages ({_SET_NMEA})"),
     (rb"\xd3[\0-\3]", LogKind.OTHER, f"log of RTCM corrections ({_SET_NMEA})"),
     (rb" {5}[2-4]\.\d\d {11}", LogKind.OTHER, f"RINEX file ({_SET_NMEA})"),
     (rb"\x89MCAP|SQLite format 3\0", LogKind.OTHER, "bag of ROS 2, which topics with 'from' read"),

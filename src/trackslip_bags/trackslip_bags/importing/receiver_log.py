@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_bags.importing.local import LocalFrame, place_of
+from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.recorded_devices import GnssSection
 from trackslip_bags.importing.role_values import values_of
@@ -275,8 +275,7 @@ def _fix_samples(
     if not has_accuracy.any():
         return
     chosen = SelectedRows(has_accuracy)
-    for reason, rejected in local.rejections(place_of(columns), has_accuracy, f"{section.where}: {source}"):
-        chosen.reject(rejected, reason)
+    local.reject(chosen, columns, f"{section.where}: {source}")
     columns = local.with_east_north({name: column[chosen.rows] for name, column in columns.items()})
     used = [one for one, is_used in zip(fixes, chosen.rows, strict=True) if is_used]
     poses = _samples("gnss_pose", used, columns, {}, section, source)
