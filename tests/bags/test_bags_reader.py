@@ -9,7 +9,17 @@ from typing import Any
 
 import pytest
 import yaml
-from fixtures.made_bags import IMU, MS, TEXT, damage_chunk, imu, text, write_foreign, write_imu
+from fixtures.made_bags import (
+    IMU,
+    MS,
+    TEXT,
+    damage_chunk,
+    imu,
+    text,
+    write_foreign,
+    write_imu,
+    write_messages,
+)
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from trackslip_bags.messages import make, serialize
@@ -31,10 +41,7 @@ FORMS = [
 
 
 def write_texts(path: Path, times_ns: list[int], topic: str = "/a") -> Path:
-    with BagWriter(path) as bag:
-        for time_ns in times_ns:
-            bag.write(topic, TEXT, text(str(time_ns)), time_ns)
-    return path
+    return write_messages(path, ((topic, TEXT, time_ns, text(str(time_ns))) for time_ns in times_ns))
 
 
 def times(bag: Bag) -> list[int]:
@@ -124,18 +131,15 @@ def test_a_bare_file_opens(tmp_path: Path) -> None:
 
 
 def test_messages_are_in_log_order_and_ties_as_written(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        for time_ns, data in ((50, "d"), (10, "a"), (10, "b"), (40, "c"), (2 * 10**9, "f"), (60, "e")):
-            writer.write("/x" if data < "c" else "/y", TEXT, text(data), time_ns)
-    with open_bag(tmp_path / "bag") as bag:
+    written = ((50, "d"), (10, "a"), (10, "b"), (40, "c"), (2 * 10**9, "f"), (60, "e"))
+    messages = (("/x" if data < "c" else "/y", TEXT, time_ns, text(data)) for time_ns, data in written)
+    with open_bag(write_messages(tmp_path / "bag", messages)) as bag:
         assert "".join(bag.deserialize(m.raw, TEXT).data for m in bag.messages()) == "abcdef"
 
 
 def test_topics_and_times_are_selected(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        for i in range(10):
-            writer.write("/even" if i % 2 == 0 else "/odd", TEXT, text(str(i)), i)
-    with open_bag(tmp_path / "bag") as bag:
+    messages = (("/even" if i % 2 == 0 else "/odd", TEXT, i, text(str(i))) for i in range(10))
+    with open_bag(write_messages(tmp_path / "bag", messages)) as bag:
         assert [m.log_time_ns for m in bag.messages(["even"], start_ns=2, stop_ns=8)] == [2, 4, 6]
         assert [m.log_time_ns for m in bag.messages(["/even", "odd"], start_ns=8)] == [8, 9]
         assert list(bag.messages(["neither"])) == []
@@ -205,11 +209,6 @@ def test_file_that_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str, c
     assert "\n" not in message
 
 
-def test_a_missing_bag_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="nowhere' not found"):
-        open_bag(tmp_path / "nowhere")
-
-
 def test_missing_topics_are_named_with_those_present(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/silent", TEXT)
@@ -220,21 +219,12 @@ def test_missing_topics_are_named_with_those_present(tmp_path: Path) -> None:
             require_topics(bag, {"sprockets", "silent", "/a"})
 
 
-def test_bytes_of_another_type_are_refused(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write("/imu", IMU, b"\x00\x01\x00\x00abc", 0)
-    with open_bag(tmp_path / "bag") as bag, pytest.raises(InputError, match=f"bad {IMU}"):
-        bag.deserialize(next(bag.messages()).raw, IMU)
-
-
 @pytest.mark.parametrize("name", ["/sprockets", f"/{'a_long_name/' * 5}sprockets"])
 def test_the_description_names_every_topic_and_fits_a_terminal(name: str, tmp_path: Path) -> None:
     """The type name is the longest of ours, and the topic has 12 letters."""
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    with BagWriter(tmp_path / "bag") as writer:
-        for k in range(5):
-            writer.write(name, kind, serialize(make(kind)), k * 250 * MS)
-    with open_bag(tmp_path / "bag") as bag:
+    messages = ((name, kind, k * 250 * MS, serialize(make(kind))) for k in range(5))
+    with open_bag(write_messages(tmp_path / "bag", messages)) as bag:
         lines = describe(bag).splitlines()
     assert "duration  1.000 s" in lines
     assert {name, "5", "5.00", kind} <= set(" ".join(lines[3:]).split())

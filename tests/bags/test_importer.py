@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CSV log and a mapping become a bag; every mistake in either gives one clear line."""
 
-import argparse
 import copy
 import math
-import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +16,11 @@ from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.parameters import PARAMETERS_TOPIC, bag_parameters, bag_vehicle
 from trackslip_bags.reader import Bag, open_bag
-from trackslip_common.config_files import config_file
-from trackslip_common.errors import InputError
+from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.slip.measurements import UNOBSERVED
-from trackslip_tools.cli import import_command, info_command
-
-ROOT = Path(__file__).parents[2]
-SHARED = Path(os.environ.get("TRACKSLIP_SHARED", ROOT.parent / "shared"))
-WARTHOG = SHARED / "data" / "warthog_grass_a.csv"
+from trackslip_tools.cli.main import main
 
 LOG = """\
 t,wl,wr,gx,gy,gz,n,x,y,heading,pl,pr
@@ -288,42 +282,16 @@ def test_a_missing_log_is_named(tmp_path: Path) -> None:
         import_log([tmp_path / "log.csv"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
 
 
-def parsed(command: Any, *arguments: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return parser.parse_args(arguments)
-
-
-def test_the_commands_show_what_they_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_commands_show_what_they_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Callable[..., str]
+) -> None:
     (tmp_path / "log.csv").write_text(LOG, encoding="utf-8")
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAPPING), encoding="utf-8")
     log, mapping, bag = (str(tmp_path / name) for name in ("log.csv", "map.yaml", "bag"))
-    arguments = parsed(import_command, log, "--mapping", mapping, "--output", bag)
-    assert import_command.run(arguments) == 0
+    command = ["import", log, "--mapping", mapping, "--output", bag]
+    assert main(command) == ExitCode.DONE
     printed = capsys.readouterr().out
-    assert info_command.run(parsed(info_command, bag)) == 0
+    assert main(["info", bag]) == ExitCode.DONE
     assert capsys.readouterr().out in printed
     assert "/reference_pose" in printed
-    with pytest.raises(InputError, match="exists already"):
-        import_command.run(arguments)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not WARTHOG.is_file(), reason="the recorded log is not here")
-def test_the_warthog_log(tmp_path: Path) -> None:
-    mapping = read_mapping(config_file("mappings/warthog.yaml"))
-    imported = import_log([WARTHOG], mapping, tmp_path / "bag")
-    counts = imported.counts
-    assert [sum(n.values()) for n in imported.left_out.values()] == [4]  # sprockets moved back by 0.15 s
-    with open_bag(tmp_path / "bag") as bag:
-        assert bag.damage == ""
-        assert {name: info.count for name, info in bag.topics.items()} == counts
-        assert counts["/sprockets"] + 4 == counts["/imu/data_raw"] == 7259
-        assert bag.duration_s == pytest.approx(362.9, abs=0.01)
-        rate = counts["/reference_pose"] / bag.duration_s
-        assert 4.0 < rate < 5.5
-        accelerations = [m.linear_acceleration.z for m in contents(bag, "imu/data_raw")]
-        assert np.mean(accelerations) == pytest.approx(9.81, abs=0.1)
-        stamps = np.diff([stamp_ns_of(m) for m in contents(bag, "reference_pose")])
-        assert stamps.min() > 0
-        assert bag_vehicle(bag) == load_vehicle("warthog")
+    assert "exists already" in refuse(*command)

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 import pytest
+from fixtures.made_bags import write_messages
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.manual_poses import input_names
@@ -19,10 +20,8 @@ SET_POSE, REPEATED = "/slip_estimator/set_pose", "/slip_estimator/pose_set"
 
 @pytest.fixture(params=[(SET_POSE,), (SET_POSE, REPEATED), (REPEATED,)], ids=len)
 def path(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    with BagWriter(tmp_path / "bag") as bag:
-        for k, topic in enumerate(request.param):
-            bag.write(topic, POSE, serialize(make(POSE)), k)
-    return tmp_path / "bag"
+    raw = serialize(make(POSE))
+    return write_messages(tmp_path / "bag", ((topic, POSE, k, raw) for k, topic in enumerate(request.param)))
 
 
 def test_each_set_pose_is_read_and_played_once(path: Path) -> None:

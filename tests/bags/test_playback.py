@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fixtures.made_bags import TEXT, text
+from fixtures.made_bags import TEXT, text, write_messages
 
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_bags.playback import OWN_OUTPUTS, Playback, PlayedMessage, played_messages, played_topics
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 
 S = 1_000_000_000
 BEGIN_NS = 1_000 * S
@@ -30,11 +29,12 @@ def taken(playback: Playback, now_s: float) -> list[str]:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """A bag of ten messages, one per second, on each of four topics."""
-    with BagWriter(tmp_path / "bag") as bag:
-        for t in range(10):
-            for topic in ("/sprockets", "/odometry", "/clock", "/diagnostics"):
-                bag.write(topic, TEXT, text(f"{topic} {t}"), BEGIN_NS + t * S)
-    return tmp_path / "bag"
+    messages = (
+        (topic, TEXT, BEGIN_NS + t * S, text(f"{topic} {t}"))
+        for t in range(10)
+        for topic in ("/sprockets", "/odometry", "/clock", "/diagnostics")
+    )
+    return write_messages(tmp_path / "bag", messages)
 
 
 def test_messages_are_due_at_their_log_time() -> None:

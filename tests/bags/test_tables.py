@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.made_bags import write_foreign
+from fixtures.made_bags import write_foreign, write_messages
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_bags.types import ensure_type
-from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS, PoseFields, SprocketFields
 from trackslip_common.message_reading import read as read_record
@@ -65,10 +64,9 @@ def odometry(k: int) -> Any:
 
 
 def bag_of(path: Path, type_name: str, raws: list[bytes]) -> Bag:
-    with BagWriter(path) as bag:
-        for k, raw in enumerate(raws):
-            bag.write("/topic", type_name, raw, 1000 + k)
-    return open_bag(path)
+    return open_bag(
+        write_messages(path, (("/topic", type_name, 1000 + k, raw) for k, raw in enumerate(raws)))
+    )
 
 
 def numbers(rows: Any, texts: list[str]) -> list[Any]:
@@ -154,10 +152,8 @@ def test_a_type_without_a_field_is_refused(tmp_path: Path) -> None:
 
 
 def write(path: Path, count: int = 20) -> Path:
-    with BagWriter(path) as bag:
-        for k in range(count):
-            bag.write("/sprockets", JOINTS, serialize(joints(k)), 1000 + k)
-    return path
+    raws = (serialize(joints(k)) for k in range(count))
+    return write_messages(path, (("/sprockets", JOINTS, 1000 + k, raw) for k, raw in enumerate(raws)))
 
 
 def read(path: Path) -> list[tuple[int, int, tuple[Any, ...]]]:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.commands import json_of
+from fixtures.made_bags import write_changed, write_messages
 from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import config_file, node_parameters, parameters_text, read_yaml
 from trackslip_common.parameters import to_flat
 from trackslip_common.vehicle_files import load_vehicle, vehicle_text
@@ -182,11 +182,9 @@ def test_vehicle_option_overrides_the_antenna_of_the_bag(
     path, moved = tmp_path / "bag", tmp_path / "moved.yaml"
     stated = load_slip_parameters({"vehicle": "excavator_20t"}, _layer())
     text = make("std_msgs/msg/String", data=parameters_text(to_flat(stated), "slip_estimator"))
-    with open_bag(fixed) as bag, BagWriter(path) as copy:
-        topic = "/slip_estimator/parameters"
-        copy.write(topic, "std_msgs/msg/String", serialize(text), bag.start_ns)
-        for m in bag.messages():
-            copy.write(m.topic, m.type_name, bytes(m.raw), m.log_time_ns)
+    with open_bag(fixed) as bag:
+        first = ("/slip_estimator/parameters", text.__msgtype__, bag.start_ns, serialize(text))
+        write_messages(path, [first, *bag.messages()])
     antenna = "sensors:\n  antenna: {x: -0.7, y: 0.6, z: 3.0}\n"
     moved.write_text(f"base: excavator_20t\n{antenna}", encoding="utf-8")
     offset = f"--set=slip_estimator.sources.heading.offset={OFFSET}"
@@ -207,14 +205,12 @@ def _parameters(**changed: object) -> SlipEstimatorParameters:
 
 def _with_quaternions(source: Path, path: Path) -> Path:
     """The same bag with geometry_msgs/QuaternionStamped for the headings."""
-    with open_bag(source) as bag, BagWriter(path) as copy:
-        for m in bag.messages():
-            type_name, raw = m.type_name, bytes(m.raw)
-            if m.topic == "/heading":
-                imu, type_name = bag.deserialize(m.raw, m.type_name), "geometry_msgs/msg/QuaternionStamped"
-                raw = serialize(make(type_name, header=imu.header, quaternion=imu.orientation))
-            copy.write(m.topic, type_name, raw, m.log_time_ns)
-    return path
+    kind = "geometry_msgs/msg/QuaternionStamped"
+
+    def quaternion(_: int, imu: Any) -> Any:
+        return make(kind, header=imu.header, quaternion=imu.orientation)
+
+    return write_changed(path, source, "/heading", quaternion)
 
 
 def _final_yaw(path: Path) -> float:

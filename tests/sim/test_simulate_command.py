@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip simulate``: its options, its JSON and its bag."""
 
-import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,19 +12,18 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_sim.cli import add_arguments, run
+from trackslip_sim.cli import run
+from trackslip_tools.cli.main import parse_arguments
 from trackslip_tools.replay.run import replay
 
 
-def parse(*arguments: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return parser.parse_args(arguments)
+def simulate(*options: str) -> int:
+    return run(parse_arguments(["simulate", *options]))
 
 
 def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "out.json"
-    assert run(parse("--scenario", "straight", "--soil", "dry_clay", "--json", str(file))) == 0
+    assert simulate("--scenario", "straight", "--soil", "dry_clay", "--json", str(file)) == 0
     report = json.loads(file.read_text())
     assert set(report) == {"vehicle", "final", "duration_s", "elapsed_s"}
     assert set(report["final"]) == {
@@ -44,7 +42,7 @@ def test_bag_has_the_messages_of_all_sensors(tmp_path: Path) -> None:
     scenario.write_text("name: short\nsoil: sand\nsegments: [{duration: 3.0, left: 2.0, right: 1.6}]\n")
     bag = tmp_path / "bag"
     options = ("--scenario", str(scenario), "--mode", "thesis", "--seed", "7", "--output", str(bag))
-    assert run(parse(*options)) == 0
+    assert simulate(*options) == 0
     with open_bag(bag) as opened:
         counts = {topic: info.count for topic, info in opened.topics.items()}
         p = load_slip_parameters()
@@ -61,10 +59,10 @@ def test_bag_has_the_messages_of_all_sensors(tmp_path: Path) -> None:
 
 def test_unwritable_output_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"exists already"):
-        run(parse("--scenario", "straight", "--output", str(tmp_path)))
+        simulate("--scenario", "straight", "--output", str(tmp_path))
     missing = tmp_path / "no" / "out.json"
     with pytest.raises(InputError, match=r"--json: '.*out\.json' cannot be written"):
-        run(parse("--scenario", "straight", "--json", str(missing)))
+        simulate("--scenario", "straight", "--json", str(missing))
 
 
 @pytest.mark.usefixtures("full_disk")
@@ -80,11 +78,11 @@ def test_a_scenario_is_repeated_or_cut(tmp_path: Path) -> None:
     for options in (("--duration", "61"), ("--duration", "61", "--output", str(tmp_path / "bag"))):
         file = tmp_path / "out.json"
         options = (*options, "--json", str(file))
-        assert run(parse("--scenario", "straight", "--mode", "thesis", *options)) == 0
+        assert simulate("--scenario", "straight", "--mode", "thesis", *options) == 0
         report = json.loads(file.read_text())
         assert report["duration_s"] == pytest.approx(61.0)
         ends.append(report["final"])
     assert ends[0] == ends[1]
     for refused in ("0", "-1", "nan", "1e9"):
         with pytest.raises(InputError, match=r"--duration: .* s is refused; accepted: > 0 and <= 604800 s"):
-            run(parse("--scenario", "straight", "--duration", refused))
+            simulate("--scenario", "straight", "--duration", refused)

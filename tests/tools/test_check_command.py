@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.commands import json_of
+from fixtures.made_bags import write_changed, write_messages
 from fixtures.setup_drives import PROGRAMME, make_drive
 
 from trackslip_bags.messages import serialize
@@ -135,7 +136,7 @@ def test_a_playback_at_another_rate_that_was_recorded_is_plausible(tmp_path: Pat
     assert json_of(tmp_path, "check", bag)["causes"] == []
 
 
-UNUSABLE: dict[str, Callable[[Any], None]] = {
+UNUSABLE: dict[str, Callable[[Any], object]] = {
     "/gnss_pose": lambda m: setattr(m.pose, "covariance", np.zeros(36)),
     "/imu/data_raw": lambda m: setattr(m, "angular_velocity_covariance", np.full(9, -1.0)),
     "/sprockets": lambda m: setattr(m, "name", ["left_wheel", "right_wheel"]),
@@ -144,13 +145,12 @@ UNUSABLE: dict[str, Callable[[Any], None]] = {
 
 @pytest.mark.parametrize("topic", UNUSABLE)
 def test_a_source_without_a_valid_reading_is_not_plausible(topic: str, healthy: Path, tmp_path: Path) -> None:
-    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
-        for m in bag.messages():
-            content = bag.deserialize(m.raw, m.type_name)
-            if m.topic == topic:
-                UNUSABLE[topic](content)
-            writer.write(m.topic, m.type_name, serialize(content), m.log_time_ns)
-    result = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)
+    def unusable(_: int, message: Any) -> Any:
+        UNUSABLE[topic](message)
+        return message
+
+    bag = write_changed(tmp_path / "bag", healthy, topic, unusable)
+    result = json_of(tmp_path, "check", bag, code=ExitCode.FAILED)
     found = [cause["source"] for cause in result["causes"] if cause["cause"] == "invalid_readings"]
     found += [one["what"] for one in result["undetermined"] if "no valid speed" in one["what"]]
     assert len(found) == 1
@@ -171,13 +171,11 @@ def test_a_clock_that_is_set_back_while_it_records_is_named(healthy: Path, tmp_p
 
 
 def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:
-    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+    with open_bag(healthy) as bag:
         messages = list(bag.messages())
-        for k in range(0, len(messages) - 50, 500):
-            messages[k : k + 50] = reversed(messages[k : k + 50])
-        for m in messages:
-            writer.write(m.topic, m.type_name, m.raw, m.log_time_ns)
-    result = json_of(tmp_path, "check", tmp_path / "bag")
+    for k in range(0, len(messages) - 50, 500):
+        messages[k : k + 50] = reversed(messages[k : k + 50])
+    result = json_of(tmp_path, "check", write_messages(tmp_path / "bag", messages))
     assert (result["plausible"], result["causes"]) == (True, [])
 
 

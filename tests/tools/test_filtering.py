@@ -115,14 +115,3 @@ def test_noise_is_added_only_to_positions(measurement: YawRate | Sprockets) -> N
     arrivals = rows_of([(ORIGIN_NS, measurement)], SOURCES)
     kept = apply(InputFilters(thin=(Thin(measurement.source, 1.0, 0.05),)), arrivals)
     assert kept.tobytes() == arrivals.tobytes()
-
-
-def test_batches_are_filtered_as_the_whole_is() -> None:
-    """Ticks and noise continue from one batch to the next."""
-    both = np.concatenate((fixes(300, 100), fixes(200, 130, source="gnss")))
-    both = both[np.argsort(both["log_time_ns"], kind="stable")]
-    thin = (Thin("box_pose", 3.0, 0.1), Thin("gnss", 1.0))
-    filters = InputFilters(thin=thin, withhold=(Withhold("gnss", 3.0, 9.0),))
-    in_batches = arrival_filter(filters)
-    filtered = np.concatenate([in_batches(batch) for batch in np.array_split(both, 17)])
-    np.testing.assert_array_equal(filtered, apply(filters, both))

@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 from fixtures.commands import TRACKSLIP, json_of
+from fixtures.made_bags import write_messages
 from fixtures.patience import PATIENCE
 from fixtures.pieces import end, refused, square, wait
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.vehicle_files import DEFAULT_VEHICLE_NOTE, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
@@ -165,12 +165,10 @@ def test_hostile_names_and_errors_run_nothing_in_the_index(tmp_path: Path) -> No
 def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    named = tmp_path / "named"
     vehicle = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
-    with open_bag(BAGS / "slalom_sand") as bag, BagWriter(named) as copy:
-        copy.write("/vehicle", "std_msgs/msg/String", serialize(vehicle), bag.start_ns)
-        for m in bag.messages():
-            copy.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+    with open_bag(BAGS / "slalom_sand") as bag:
+        first = ("/vehicle", vehicle.__msgtype__, bag.start_ns, serialize(vehicle))
+        named = write_messages(tmp_path / "named", [first, *bag.messages()])
     bags = [str(BAGS / "slalom_sand"), str(named)]
     assert main(["replay", bags[0], "--stop", "2"]) == ExitCode.DONE
     (alone,) = [line for line in capsys.readouterr().out.splitlines() if "vehicle" in line]

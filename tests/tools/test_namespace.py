@@ -8,27 +8,29 @@ from typing import Any
 
 import pytest
 from fixtures.commands import json_of
+from fixtures.made_bags import TEXT, text, write_messages
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
 from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 
-JOINTS = serialize(make("sensor_msgs/msg/JointState"))
+KIND = "sensor_msgs/msg/JointState"
+JOINTS = serialize(make(KIND))
 
 
 @pytest.fixture(scope="module")
 def two_machines(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same drive in the namespaces one and two; the laser of two has failed."""
-    path = tmp_path_factory.mktemp("two") / "bag"
-    with open_bag(emulated_bag) as bag, BagWriter(path) as both:
-        for m in bag.messages():
-            both.write(f"/site/one{m.topic}", m.type_name, m.raw, m.log_time_ns)
-            if m.topic != "/box_pose":
-                both.write(f"/two{m.topic}", m.type_name, m.raw, m.log_time_ns)
-    return path
+    with open_bag(emulated_bag) as bag:
+        both = [
+            m._replace(topic=namespace + m.topic)
+            for m in bag.messages()
+            for namespace in ("/site/one", "/two")
+            if (namespace, m.topic) != ("/two", "/box_pose")
+        ]
+    return write_messages(tmp_path_factory.mktemp("two") / "bag", both)
 
 
 def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
@@ -38,10 +40,8 @@ def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
 
 def test_shared_topics_of_a_machine_are_one_with_those_of_its_namespace(tmp_path: Path) -> None:
     topics = ("/two/diagnostics", "/diagnostics", "/diagnostics_crane/joints", "/one/diagnostics")
-    with BagWriter(tmp_path / "bag") as bag:
-        for number, topic in enumerate(topics):
-            bag.write(topic, "sensor_msgs/msg/JointState", JOINTS, number)
-    with open_bag(tmp_path / "bag", "two") as part:
+    bag = write_messages(tmp_path / "bag", ((topic, KIND, k, JOINTS) for k, topic in enumerate(topics)))
+    with open_bag(bag, "two") as part:
         assert {topic: info.count for topic, info in part.topics.items()} == {"/diagnostics": 2}
         assert [m.log_time_ns for m in part.messages(["/diagnostics"])] == [0, 1]
 
@@ -63,14 +63,14 @@ def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_
 def test_the_vehicles_of_namespaces_are_not_assumed(
     two_machines: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "bag"
-    vehicle = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("excavator_20t")))
-    with open_bag(two_machines) as bag, BagWriter(path) as copy:
-        copy.write("/two/vehicle", "std_msgs/msg/String", serialize(vehicle), bag.start_ns)
-        copy.write("/tower/sprockets", "sensor_msgs/msg/JointState", JOINTS, bag.start_ns)
-        for m in bag.messages():
-            if m.topic not in ("/two/vehicle", "/two/slip_estimator/parameters"):
-                copy.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+    vehicle = text(vehicle_text(load_vehicle("excavator_20t")))
+    with open_bag(two_machines) as bag:
+        messages = [
+            ("/two/vehicle", TEXT, bag.start_ns, vehicle),
+            ("/tower/sprockets", KIND, bag.start_ns, JOINTS),
+            *(m for m in bag.messages() if m.topic not in ("/two/vehicle", "/two/slip_estimator/parameters")),
+        ]
+    path = write_messages(tmp_path / "bag", messages)
     assert main(["info", str(path)]) == ExitCode.DONE
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("vehicle")]
     assert lines == [
@@ -92,9 +92,8 @@ def test_a_replay_without_the_namespace_names_those_there_are(
 def test_vehicle_topic_of_another_type_names_no_vehicle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.write("/vehicle", "sensor_msgs/msg/JointState", JOINTS, 0)
-    assert main(["info", str(tmp_path / "bag")]) == ExitCode.DONE
+    bag = write_messages(tmp_path / "bag", [("/vehicle", KIND, 0, JOINTS)])
+    assert main(["info", str(bag)]) == ExitCode.DONE
     assert "not named: pc05 is assumed" in capsys.readouterr().out
 
 

@@ -14,10 +14,13 @@ import pytest
 import yaml
 from fixtures.commands import json_of
 
+from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import open_bag
 from trackslip_bags.tables import read_tables
+from trackslip_common.arrays import Rows
 from trackslip_common.errors import ExitCode
-from trackslip_common.message_fields import OdometryFields, PoseFields
+from trackslip_common.message_fields import ImuFields, OdometryFields, PoseFields
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,6 +86,22 @@ def test_geometry_alone_is_enough(
 
 
 @pytest.mark.slow
+def test_bag_of_the_warthog_log_is_complete(log: Import) -> None:
+    path = log("warthog", True)
+    with open_bag(path) as bag:
+        counts = {name: info.count for name, info in bag.topics.items()}
+        assert bag.damage == ""
+        assert counts["/sprockets"] + 4 == counts["/imu/data_raw"] == 7259  # four moved to before 0 s
+        assert bag.duration_s == pytest.approx(362.9, abs=0.01)
+        assert 4.0 < counts["/reference_pose"] / bag.duration_s < 5.5
+        assert bag_vehicle(bag) == load_vehicle("warthog")
+    assert np.mean(rows_of(path, "/imu/data_raw", ImuFields)["acceleration_z"]) == pytest.approx(
+        9.81, abs=0.1
+    )
+    assert np.diff(rows_of(path, "/reference_pose", PoseFields)["stamp_ns"]).min() > 0
+
+
+@pytest.mark.slow
 def test_warthog_log_gives_the_documented_errors(log: Import, tmp_path: Path) -> None:
     result = replay(log("warthog", True), "warthog", tmp_path)
     assert result["rmse"]["dead_reckoning"] == pytest.approx(7.4, rel=0.05)
@@ -126,9 +145,14 @@ def first_heading(bag: Path, robot: str) -> float:
     return float(poses[np.searchsorted(t, start), 2])
 
 
+def rows_of(path: Path, topic: str, kind: Any) -> Rows:
+    """Records of all messages of a topic."""
+    with open_bag(path) as bag:
+        return np.concatenate([s[topic].rows(kind) for s in read_tables(bag, [topic]) if topic in s])
+
+
 def columns(path: Path, topic: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
     """Stamps in s, and x, y, yaw (n, 3)."""
-    with open_bag(path) as bag:
-        rows = np.concatenate([s[topic].rows(kind) for s in read_tables(bag, [topic]) if topic in s])
+    rows = rows_of(path, topic, kind)
     yaw = 2.0 * np.arctan2(rows["qz"], rows["qw"])
     return rows["stamp_ns"] * 1e-9, np.column_stack((rows["x"], rows["y"], yaw))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
 from fixtures.commands import json_of
+from fixtures.made_bags import write_changed, write_messages
 from fixtures.recorded import EVERYTHING
 from fixtures.records import assert_same_bits
 from fixtures.whole_inputs import Inputs, read_inputs
@@ -18,7 +19,7 @@ from trackslip_bags import chunks, tables
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
+from trackslip_bags.sources import BagMessage
 from trackslip_common.message_fields import OdometryFields
 from trackslip_common.message_reading import dtype_of
 from trackslip_common.vehicle_files import vehicle_layer
@@ -142,23 +143,19 @@ def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path
 
 def without_readings(bag_path: Path, path: Path, every: int) -> Path:
     """The bag with an IMU that lacks the gyro in each ``every``-th message, and accelerations in the next."""
-    with open_bag(bag_path) as bag, BagWriter(path) as writer:
-        count = 0
-        for m in bag.messages():
-            raw = bytes(m.raw)
-            if m.topic == "/imu/data_raw":
-                content = bag.deserialize(m.raw, m.type_name)
-                absent = np.array((-1.0, *(0.0,) * 8))
-                if count % every == 0:
-                    content.angular_velocity_covariance = absent
-                elif count % every == 1:
-                    content.linear_acceleration_covariance = absent
-                elif count % every == 2:
-                    content.orientation_covariance = np.diag((1e-4, 2e-4, 3e-4)).ravel()
-                    content.orientation.x, content.orientation.w = 0.1 * math.sin(count), 0.995
-                raw, count = serialize(content), count + 1
-            writer.write(m.topic, m.type_name, raw, m.log_time_ns)
-    return path
+    absent = np.array((-1.0, *(0.0,) * 8))
+
+    def changed(number: int, imu: Any) -> Any:
+        if number % every == 0:
+            imu.angular_velocity_covariance = absent
+        elif number % every == 1:
+            imu.linear_acceleration_covariance = absent
+        elif number % every == 2:
+            imu.orientation_covariance = np.diag((1e-4, 2e-4, 3e-4)).ravel()
+            imu.orientation.x, imu.orientation.w = 0.1 * math.sin(number), 0.995
+        return imu
+
+    return write_changed(path, bag_path, "/imu/data_raw", changed)
 
 
 @pytest.fixture(scope="module")
@@ -191,20 +188,17 @@ def test_messages_without_rates_are_counted_by_name(
     assert "without angular velocity" in capsys.readouterr().out
 
 
-def with_messages(path: Path, emulated_bag: Path, more: list[tuple[int, str, str, bytes]]) -> Path:
-    """The bag with further messages (log time, topic, type, content)."""
-    with open_bag(emulated_bag) as bag, BagWriter(path) as writer:
-        messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
-        for logged_ns, topic, type_name, raw in sorted([*messages, *more], key=lambda m: m[0]):
-            writer.write(topic, type_name, raw, logged_ns)
-    return path
+def with_messages(path: Path, emulated_bag: Path, more: list[BagMessage]) -> Path:
+    """The bag with further messages."""
+    with open_bag(emulated_bag) as bag:
+        return write_messages(path, sorted([*bag.messages(), *more], key=lambda m: m.log_time_ns))
 
 
-def journal(lines: list[tuple[int, Report]]) -> list[tuple[int, str, str, bytes]]:
+def journal(lines: list[tuple[int, Report]]) -> list[BagMessage]:
     """Messages of a journal, given as (log time, report) of each line."""
     messages = (conversions.measurement_report(make, report, k) for k, (_, report) in enumerate(lines))
     topic = "/measurement_reports"
-    return [(t, topic, REPORT, serialize(m)) for (t, _), m in zip(lines, messages, strict=True)]
+    return [BagMessage(topic, REPORT, t, serialize(m)) for (t, _), m in zip(lines, messages, strict=True)]
 
 
 def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
@@ -237,6 +231,6 @@ def test_pose_set_with_stamp_0_does_not_extend_the_duration(emulated_bag: Path, 
         pose = next(bag.messages(["box_pose"]))
         content = bag.deserialize(pose.raw, pose.type_name)
         content.header.stamp.sec = content.header.stamp.nanosec = 0
-    message = (pose.log_time_ns, "/slip_estimator/set_pose", pose.type_name, serialize(content))
+    message = pose._replace(topic="/slip_estimator/set_pose", raw=serialize(content))
     with open_bag(with_messages(tmp_path / "bag", emulated_bag, [message])) as bag:
         assert read_inputs(bag, P, InputFilters(), ()).duration_s == expected

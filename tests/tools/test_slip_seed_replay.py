@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.made_bags import write_messages
 from fixtures.recorded import merged_messages, write_lines
 from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
-from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.conversions import measurement_report
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome, Report, SlipFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -95,12 +95,9 @@ def test_live_run_with_seeds_is_replayed_exactly(seeded: Path, tmp_path: Path) -
     with open_bag(seeded) as bag, EstimateWriter(tmp_path / "own", p) as writer:
         replay(bag, p, InputFilters(), None, watch=writer.add)
     replayed(seeded, parts, **SOURCE)
-    with BagWriter(tmp_path / "live") as live:
-        for message in merged_messages(seeded, tmp_path / "own"):
-            live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-        for sequence, report in enumerate(reports_of(parts)):  # a journal in the order of arrival
-            raw = serialize(conversions.measurement_report(make, report, sequence))
-            live.write("/measurement_reports", REPORTS, raw, LAST_NS + sequence)
+    journal = (measurement_report(make, report, k) for k, report in enumerate(reports_of(parts)))
+    lines = [("/measurement_reports", REPORTS, LAST_NS + m.sequence, serialize(m)) for m in journal]
+    write_messages(tmp_path / "live", [*merged_messages(seeded, tmp_path / "own"), *lines])
     again = replayed(tmp_path / "live", **SOURCE)
     assert again.live is not None
     assert again.live.matches

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.commands import json_of
+from fixtures.made_bags import write_messages
 
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.arrays import Rows
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -170,10 +170,9 @@ def test_the_command_refuses_a_clock_that_went_back(
     emulated_bag: Path, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
     """A bag played twice into one recording."""
-    with open_bag(emulated_bag) as bag, BagWriter(tmp_path / "twice") as twice:
-        for again in range(2):
-            for m in bag.messages(("sprockets", "box_pose")):
-                log_ns = m.log_time_ns + again * (bag.end_ns - bag.start_ns + 1)
-                twice.write(m.topic, m.type_name, m.raw, log_ns)
-    assert "the clock goes back by 5" in refuse("smooth", tmp_path / "twice")
-    assert main(["smooth", str(tmp_path / "twice"), "--stop", "50"]) == ExitCode.DONE
+    with open_bag(emulated_bag) as bag:
+        once, later_ns = list(bag.messages(("sprockets", "box_pose"))), bag.end_ns - bag.start_ns + 1
+    again = [m._replace(log_time_ns=m.log_time_ns + later_ns) for m in once]
+    twice = write_messages(tmp_path / "twice", [*once, *again])
+    assert "the clock goes back by 5" in refuse("smooth", twice)
+    assert main(["smooth", str(twice), "--stop", "50"]) == ExitCode.DONE

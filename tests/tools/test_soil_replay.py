@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.commands import json_of
+from fixtures.made_bags import write_messages
 from fixtures.recorded import merged_messages
 from fixtures.swinging_cab import Cab, dig, record
 
 from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.soils import soil
 from trackslip_estimation.slip import conversions as slip
 from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
@@ -59,13 +59,11 @@ def test_replay_reproduces_live_forces(
     emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path, summary: Summary
 ) -> None:
     """Sensors and estimates in one bag; without the journal, whose log times differ from a recorder's."""
-    with BagWriter(tmp_path / "live") as live:
-        for message in merged_messages(emulated_bag, replayed[0]):
-            live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-    result = summary(tmp_path / "live")
+    live = write_messages(tmp_path / "live", merged_messages(emulated_bag, replayed[0]))
+    result = summary(live)
     assert result["soil"]["replay_matches"] is True
     assert result["soil"]["mu_r"] == replayed[1]["soil"]["mu_r"]
-    other = summary(tmp_path / "live", "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
+    other = summary(live, "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
     assert other["soil"]["replay_matches"] is False
 
 

@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.made_bags import write_changed
 from fixtures.records import assert_order_does_not_matter
 from fixtures.swinging_cab import CAB, Cab, Part, record
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from trackslip_bags.messages import serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.arrays import FloatArray
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
@@ -221,16 +220,12 @@ def test_imu_with_orientation_is_preferred_to_one_with_accelerations() -> None:
 
 
 def test_replay_counts_refused_orientations(emulated_bag: Path, tmp_path: Path) -> None:
-    with open_bag(emulated_bag) as bag, BagWriter(tmp_path / "bag") as writer:
-        covariances = (ABSENT, ZERO, np.eye(3).ravel() * 1e-4)
-        count = 0
-        for m in bag.messages():
-            raw = bytes(m.raw)
-            if m.topic == "/imu/data_raw":
-                content = bag.deserialize(m.raw, m.type_name)
-                content.orientation_covariance = covariances[count % 3]
-                raw, count = serialize(content), count + 1
-            writer.write(m.topic, m.type_name, raw, m.log_time_ns)
+    def with_covariance(number: int, imu: Any) -> Any:
+        imu.orientation_covariance = (ABSENT, ZERO, np.eye(3).ravel() * 1e-4)[number % 3]
+        return imu
+
+    with open_bag(write_changed(tmp_path / "bag", emulated_bag, f"/{IMU}", with_covariance)) as bag:
+        count = bag.topics[f"/{IMU}"].count
     command = ["replay", str(tmp_path / "bag"), "--json", str(tmp_path / "found.json")]
     assert main([*command, "--set", f"slip_estimator.{GROUP}use_orientation=true"]) == 0
     counted = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["rejected"][IMU]
