@@ -15,7 +15,7 @@ from trackslip_bags.messages import make
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
-from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TOPICS, TRACK_SLIP
+from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import Learned, to_tree
@@ -40,14 +40,14 @@ def live(
     in_order = sorted(lines, key=lambda line: line.log_ns)
     learned_section = {} if learned is None else {"learned": to_tree(learned, estimator.learned_context)}
     text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **learned_section))
-    messages.append(Line(in_order[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
+    messages.append(Line(in_order[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, text))
     for sequence, line in enumerate(in_order):
         report, estimate = estimator.process(measurement(line, p))
         outputs = [] if estimate is None else [(t, estimate) for t in (ODOMETRY, TRACK_SLIP)]
         outputs += [] if estimate is None else [(LOCAL_ODOMETRY, local.estimate_in_odom(estimate))]
         of_line = [(topic, message_of(topic, of, p)) for topic, of in outputs]
         of_line.append((REPORTS, conversions.measurement_report(make, report, sequence)))
-        messages += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in of_line]
+        messages += [Line(line.log_ns + 1, topic, message) for topic, message in of_line]
     return messages, estimator
 
 

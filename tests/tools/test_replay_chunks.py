@@ -191,7 +191,8 @@ def test_messages_without_rates_are_counted_by_name(
 def with_messages(path: Path, emulated_bag: Path, more: list[BagMessage]) -> Path:
     """The bag with further messages."""
     with open_bag(emulated_bag) as bag:
-        return write_messages(path, sorted([*bag.messages(), *more], key=lambda m: m.log_time_ns))
+        in_order = sorted([*bag.messages(), *more], key=lambda m: m.log_time_ns)
+        return write_messages(path, in_order)
 
 
 def journal(lines: list[tuple[int, Report]]) -> list[BagMessage]:

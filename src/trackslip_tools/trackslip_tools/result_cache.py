@@ -51,8 +51,9 @@ class ResultCache(dict[str, R], Generic[R]):
     def add(self, key: str, result: R) -> None:
         """Store a result in memory and in the file."""
         self[key] = result
+        row = {name: getattr(result, name) for name in get_type_hints(type(result))}
         with self._path.open("a", encoding="utf-8") as file:
-            file.write("\n" * bool(file.tell()) + json.dumps({"key": key, "row": _fields_of(result)}))
+            file.write("\n" * bool(file.tell()) + json.dumps({"key": key, "row": row}))
 
     def _add_line(self, line: str) -> None:
         with suppress(ValueError, RecursionError, TypeError, KeyError):
@@ -89,10 +90,6 @@ def make_record(kind: type[R], entry: Any) -> R:
     if not isinstance(entry, dict) or entry.keys() != hints.keys():
         raise TypeError(kind.__name__)
     return kind(**{name: _convert_value(hints[name], value) for name, value in entry.items()})
-
-
-def _fields_of(record: Any) -> dict[str, Any]:
-    return {name: getattr(record, name) for name in get_type_hints(type(record))}
 
 
 def _convert_value(hint: Any, value: Any) -> Any:

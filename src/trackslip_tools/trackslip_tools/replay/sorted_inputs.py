@@ -10,6 +10,7 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.arrays import IntArray, Rows
 from trackslip_common.errors import InputError
+from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import stamp_order
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -28,18 +29,15 @@ class SortedInputs(NamedTuple):
 
 
 def read_sorted_inputs(
-    bag: Bag,
-    p: SlipEstimatorParameters,
-    filters: InputFilters,
-    series: tuple[str, ...],
-    detailed: frozenset[str] = frozenset(),
+    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, series: tuple[str, ...]
 ) -> SortedInputs:
-    """All measurements after the filters, and the series of the topics; ``detailed`` ones with covariances.
+    """All measurements after the filters, and the series of the topics, with covariances but for the truth.
 
     Raises:
         InputError: as ``InputStream``; or the clock of the sprockets goes back by more than the window.
     """
     stream, numbers = InputStream(bag, p, filters, series), SlipEstimator(p).sources
+    detailed = frozenset(series) - {TRUE_SLIP, TRUE_ODOMETRY}
     collector, growing = SeriesCollector(detailed), GrowingRows(MEASUREMENT)
     clock = _ClockCheck(bag, p.history_window)
     for batch in stream:

@@ -90,8 +90,7 @@ def smooth_bag(
     """
     reference = reference or default_reference(bag)
     requested = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
-    detailed = frozenset(requested) - {TRUE_SLIP, TRUE_ODOMETRY}
-    measurements, series = read_sorted_inputs(bag, p, filters, requested, detailed)
+    measurements, series = read_sorted_inputs(bag, p, filters, requested)
     truth = [series.get(topic or "") for topic in (TRUE_SLIP, TRUE_ODOMETRY, reference)]
     filter_errors, smoother_errors = (_EstimateErrors(p.vehicle.kinematics.tread) for _ in range(2))
     count, first_ns, last_ns = 0, NEVER_NS, NEVER_NS

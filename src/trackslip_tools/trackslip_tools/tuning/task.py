@@ -24,7 +24,6 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.errors import InputError
-from trackslip_common.topics import TRUE_ODOMETRY
 from trackslip_estimation.slip.log import Log, make_log, run_log
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import POSE
@@ -194,9 +193,7 @@ def read_task(
     """
     reference = reference or default_reference(bag)
     requested = (reference,) if reference else ()
-    measurements, series_of_topics = read_sorted_inputs(
-        bag, p, filters, requested, frozenset(requested) - {TRUE_ODOMETRY}
-    )
+    measurements, series_of_topics = read_sorted_inputs(bag, p, filters, requested)
     series = series_of_topics.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

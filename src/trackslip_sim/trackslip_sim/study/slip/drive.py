@@ -99,7 +99,8 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     samples = np.flatnonzero(kinds == SPROCKETS)
     scored = samples[at.t[samples] > p.settling]
     if terrain:
-        set_attitude(rows.drives, np.stack((at.roll, at.pitch), axis=1), _body_rates(at))
+        rates = np.stack((at.roll_rate, at.pitch_rate, at.yaw_rate), axis=1)
+        set_attitude(rows.drives, np.stack((at.roll, at.pitch), axis=1), rates)
     moving = _is_moving(at, estimator)[scored]
     if not moving.any() and not terrain:  # too steep a slope: only the pose is scored
         raise InputError(
@@ -216,11 +217,6 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
     drives["speeds"]["right"] = (after.right_angle - before.right_angle) / period
     drives["speeds"]["variance"] = drives["speeds"]["angle_variance"] = 0.0
     return drives
-
-
-def _body_rates(at: Truth) -> FloatArray:
-    """(k, 3) body rates p, q, r, rad/s."""
-    return np.stack((at.roll_rate, at.pitch_rate, at.yaw_rate), axis=1)
 
 
 def _is_moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
