@@ -14,7 +14,7 @@ from fixtures.swinging_cab import ENCODER, Cab, Part, Recording, dig, record
 
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
-from trackslip_estimation.slip.measurements import Measurement, Outcome, SwingAngle
+from trackslip_estimation.slip.measurements import HeadingFix, Measurement, Outcome, SwingAngle
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 
 S = 1_000_000_000
@@ -127,3 +127,29 @@ def test_encoder_with_a_persistent_offset_is_used_again() -> None:
     assert abs(math.remainder(found[-1].outputs.swing.angle - float(true), math.tau)) < 0.02
     assert Event.BECAME_JUMP in {h.event for h in estimator.read_events()}
     assert Event.MOVED not in {h.event for h in estimator.read_events()}
+
+
+@pytest.mark.parametrize("fix_hertz", [5.0, 1.0])
+def test_drift_of_the_encoder_is_not_attributed_to_a_compass_on_the_cab(fix_hertz: float) -> None:
+    parts = [part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)]
+    recording, random = record(parts, Cab(fix_hertz=fix_hertz)), np.random.default_rng(0)
+    measurements = spoilt(
+        recording, lambda t, angle, _: angle + 0.02 * max(min(t, END) - BEGIN, 0.0) * (t < END)
+    )
+    headings = recording.poses[:, 2] + recording.swings[:, 0] + random.normal(0.0, 0.01, len(recording.t))
+    compass = [
+        HeadingFix("heading", S + round(t * S), math.remainder(heading, math.tau), 1e-4)
+        for t, heading in zip(recording.t[::20].tolist(), headings[::20].tolist(), strict=True)
+    ]
+    found, estimator = errors_over(
+        sorted([*measurements, *compass], key=lambda m: m.stamp_ns),
+        recording,
+        load_slip_parameters(
+            {"vehicle": "pc05_cab", "heading_sources": ["heading"], "sources.heading.offset": 0.0},
+            {"sources.heading.yaw_offset_stddev": 0.02, "sources.box_pose.use_heading": False, **GNSS},
+        ),
+    )
+    found = found.between(20.0)
+    assert found.rms < 0.03
+    assert found.heading_rms < 0.05
+    assert {e.source for e in estimator.read_events()} == {ENCODER}

@@ -25,6 +25,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_failure_children,
     make_recovered_sector_children,
     make_sector_children,
+    make_source_fault_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
 from trackslip_estimation.slip.bank.offset_jumps import is_offset_jump_due, make_offset_jump_children
@@ -417,6 +418,8 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     jumped = log_measurement_interval(window, p, k, c) + c.log_rates[MOVED, source]
     if m.kind == ON_SWING or (m.kind == HEADING and is_free_to_swing(before, source, c)):
         add_child(window, p, k, SWUNG, source, MEASURED, False, jumped, c)
+    if m.kind in (HEADING, ON_SWING):
+        make_source_fault_children(window, p, k, 0.0, c)
     if m.kind == HEADING:
         add_child(window, p, k, TURNED, source, MEASURED, False, jumped, c)
         for unit in (GYROS, BRAKE):

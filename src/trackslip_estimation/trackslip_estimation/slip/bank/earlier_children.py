@@ -97,7 +97,7 @@ def make_earlier_children(window: Window, p: int, k: int, implausible: bool, c: 
     if may_stay and can_be_repetition(update, c):
         add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
     _make_wander_children(window, p, k, c)
-    _make_source_fault_children(window, p, k, penalty, c)
+    make_source_fault_children(window, p, k, penalty, c)
     if has_velocity_errors(c):
         make_failure_children(window, p, k, penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
@@ -174,7 +174,7 @@ def _make_wander_children(window: Window, p: int, k: int, c: Config) -> None:
 
 
 @compiled
-def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+def make_source_fault_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Add children in which angles or velocities of another source are off."""
     before = window.states[p, k - 1]
     if not has_recent_fix(before, window.measurements[k], c):
