@@ -164,17 +164,17 @@ def create_failure_children(window: Window, k: int, c: Config) -> int:
 
 @compiled
 def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
-    """Lower the weight of branch s of row k by lasting faults and an implausible motion; update its CUSUM."""
+    """Lower the weight of branch s of row k by faults faults and an implausible motion; update its CUSUM."""
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
     elapsed_s = (measurement.stamp_ns - window.states[s, k - 1].weighed_ns[source]) * 1e-9
     branch.fresh = 0
-    lasting = int(fault != IS_HEALTHY) + int(state.heading_fault[source] != IS_HEALTHY)
+    faults = int(fault != IS_HEALTHY) + int(state.heading_fault[source] != IS_HEALTHY)
     if measurement.kind in (POSE, VELOCITY):
         for unit in range(MOST_SOURCES):
-            lasting += int(is_failed(state.fault[unit]) and _can_recover(state, unit, c))
-    branch.weight -= lasting * elapsed_s / c.events.fault_time
+            faults += int(is_failed(state.fault[unit]) and _can_recover(state, unit, c))
+    branch.weight -= faults * elapsed_s / c.events.fault_time
     periods = min(elapsed_s / PERIOD, 1.0)
     slip_cost = slip_range_penalty(state, c) * periods
     branch.slip_cost = branch.slip_cost + slip_cost if slip_cost > 0.0 else 0.0
