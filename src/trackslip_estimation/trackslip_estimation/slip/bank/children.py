@@ -164,7 +164,7 @@ def create_failure_children(window: Window, k: int, c: Config) -> int:
 
 @compiled
 def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
-    """Lower the weight of branch s of row k by faults faults and an implausible motion; update its CUSUM."""
+    """Lower the weight of branch s of row k by lasting faults and an implausible motion; update its CUSUM."""
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
