@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.slip.events import ANGLES, Event
+from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import HISTORY
 from trackslip_estimation.slip.source_faults import SourceFault
@@ -97,9 +97,9 @@ class Sources(NamedTuple):
 
 _FINDING_HEADING, _HEADING_WAS_UNKNOWN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
-_ANGLE_FAULTS = (Event.HEADING_OFF, Event.HEADING_WANDERS)
-_OFFSETS = (Event.OFFSET, *_ANGLE_FAULTS)
+_OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
+_ENDED = (*_FAULTS, Event.OUTLIER, Event.RECOVERED)  # of a branch in which no source is at fault
 _FAILURES, BRAKE_NAME = "{source} and motion disagree", "swing brake"
 _BRAKE_WORDS = {
     Event.FAILED: "the upper structure swings while the tracks drive",
@@ -223,24 +223,19 @@ def _branch_explanation(
     count = int(branch["events"])
     events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
     slip = float(state["mean"][COMMON_SLIP])
-    healthy = set[tuple[int, bool]]()  # sources whose fault has ended; True: that of their angles
     for n, e in reversed(list(enumerate(events))):
         event, source, stamp_ns = Event(e["event"]), int(e["source"]), int(e["decided_ns"])
         is_stuck = event is Event.SLIPPED and slip > _STUCK
         if state["stamp_ns"] - stamp_ns > _RECENT_NS and not is_stuck:
             continue
-        if event is Event.RECOVERED:
-            healthy.add((source, int(e["part"]) == ANGLES))
-        elif event is Event.SLIPPED:
+        if event is Event.SLIPPED:
             text = f"both tracks slip {100.0 * slip:.0f} %"
             text = f"the machine is stuck: {text}" if is_stuck else text
             return event.name, Explanation(text, 0.0, stamp_ns)
-        elif _is_sector_event(e):
+        if _is_sector_event(e):
             if not is_heading_known:
                 return _FINDING_HEADING, Explanation(_FINDING_HEADING, 0.0, stamp_ns)
-        elif event is not Event.OUTLIER and not (
-            event in _FAULTS and (source, event in _ANGLE_FAULTS) in healthy
-        ):
+        elif event not in _ENDED:
             name = sources.names.get(source, "")
             text = _event_text(event, name, name in sources.swings)
             if event is Event.BECAME_JUMP:

@@ -49,7 +49,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE, UNDERCARRIAGE_SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import update_shear
 from trackslip_estimation.slip.models.slope import inflate_downhill_slip
-from trackslip_estimation.slip.models.swing import propagate_swing_covariance
+from trackslip_estimation.slip.models.swing import end_brake_fault, propagate_swing_covariance
 from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.observations.altitude import update_height
 from trackslip_estimation.slip.observations.odometry import integrate_motion
@@ -149,7 +149,9 @@ def propagate_with_sprockets(state: State, closing: MeasurementRecord, stamp_ns:
     known_ns, reached_ns = set_speeds(state, closing, stamp_ns, c), state.stamp_ns
     if known_ns > reached_ns:
         dt = (known_ns - reached_ns) * 1e-9
+        previous = state.motion.motion
         update_motion(state.motion, state.speeds, dt, c.motion_limits)
+        end_brake_fault(state, previous)
         propagate(state, dt, c)
         if not state.sample.seen:
             inflate_start_pose(state, known_ns, c)

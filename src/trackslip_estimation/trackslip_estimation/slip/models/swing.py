@@ -13,7 +13,7 @@ At standstill, or while the sprockets are silent, the upper structure may swing.
 without any sensor its standard deviation grows to ω̂, τ = 2 ω̂²/q. While the tracks drive, the brake holds the
 upper structure: σ̇ decays within ω̂/a and stays near zero. If it still swings when the tracks start, it keeps
 the free noise until its estimated rate is small. In a branch in which the brake has failed, it may also swing
-while the tracks drive.
+while the tracks drive, until they stand.
 
 Tracks turn about the loaded part of their contact: x_I moves by g (cos σ' − cos σ) with the centre of
 gravity. On the shear truth both move equally far. Motion of arm and bucket adds an error to x_I.
@@ -56,7 +56,7 @@ class SwingConstants(Record):
 CONSTANTS = dtype_of(SwingConstants)
 
 _LEAST_SWING_RATE = 0.05  # rad/s, swing rate beyond which the brake does not count as holding
-_STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
+_STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,15 +107,24 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 
 @compiled
-def is_swing_braked(state: State) -> bool:
+def is_swing_braked(state: State, c: Config) -> bool:
     """Whether the tracks drive and the brake holds the upper structure, as far as a branch assumes."""
-    return bool(state.motion.motion in (_STRAIGHT, _TURNING) and state.fault[BRAKE] == IS_HEALTHY)
+    fastest = max(abs(state.speeds.left), abs(state.speeds.right))
+    drives = state.motion.motion in (_STRAIGHT, _TURNING) and fastest > c.motion_limits.standing_speed
+    return bool(drives and state.fault[BRAKE] == IS_HEALTHY)
+
+
+@compiled
+def end_brake_fault(state: State, previous: int) -> None:
+    """End a fault of the swing brake when the tracks stop, after a ``previous`` motion."""
+    if state.motion.motion == _STANDING and previous != _STANDING:
+        state.fault[BRAKE] = IS_HEALTHY
 
 
 @compiled
 def is_free_to_swing(state: State, source: int, c: Config) -> bool:
     """Whether a source is mounted on the upper structure, and the upper structure is free to swing."""
-    return bool(c.above[source] == 1 and not is_swing_braked(state))
+    return bool(c.above[source] == 1 and not is_swing_braked(state, c))
 
 
 @compiled
@@ -135,7 +144,7 @@ def _swing_share(rate: float) -> float:
 def _rate_noise(rate: float, state: State, c: Config) -> tuple[float, float]:
     """q and τ at a swing rate."""
     n, share = c.swing, _swing_share(rate)
-    if not is_swing_braked(state):
+    if not is_swing_braked(state, c):
         return n.free_density, n.free_time
     return n.held_density + share * n.free_density, n.held_time + share * (n.free_time - n.held_time)
 
