@@ -125,20 +125,7 @@ def test_compass_on_the_cab_corrects_a_wrong_initial_heading(swing: float) -> No
     assert np.abs(found.between(8.0).off[:, 2]).max() < 0.1
 
 
-@pytest.mark.parametrize("encoder", [True, False])
-@pytest.mark.parametrize("fix_hertz", [5.0, 1.0])
-def test_swing_that_begins_as_the_tracks_stop_is_no_event(fix_hertz: float, encoder: bool) -> None:
-    parts = [part for angle in (1.6, -1.0, 2.5) for part in (Part(8.0, 2.0, 2.0), Part(7.0, swing_to=angle))]
-    drive = record([Part(2.0), *parts, *AFTER], Cab(fix_hertz=fix_hertz, encoder=encoder))
-    parameters = load_slip_parameters(
-        {"vehicle": "pc05_cab"} if encoder else WITHOUT_ENCODER, GNSS, RECEIVERS["one antenna"]
-    )
-    found, estimator = errors_over(drive.measurements, drive, parameters)
-    assert estimator.read_events() == []
-    assert found.between(10.0).heading_rms < 0.05
-
-
-def test_swing_while_the_tracks_drive_is_no_explanation_once_they_stand() -> None:
+def test_explanation_of_a_swing_in_motion_ends_with_the_motion() -> None:
     drive = record([*BEFORE, *SWINGS["on a straight"], Part(5.0)], Cab(encoder=False))
     _, estimator = errors_over(
         drive.measurements, drive, load_slip_parameters(WITHOUT_ENCODER, GNSS, RECEIVERS["one antenna"])

@@ -242,7 +242,7 @@ def _can_show_failure(window: Window, p: int, k: int, unit: int, c: Config) -> b
     before, m = window.states[p, k - 1], window.measurements[k]
     if math.isinf(c.gate_limits[1]):
         return False
-    if unit == BRAKE and not (is_swing_braked(before, c) and c.above[m.source] == 1):
+    if unit == BRAKE and not (is_swing_braked(before) and c.above[m.source] == 1):
         return False
     is_unknown = m.kind in (POSE, VELOCITY) and is_heading_undetermined(before)
     return bool(not is_unknown or (unit == TRACKS and _is_farther_than_tracks(window, p, k, c)))

@@ -107,11 +107,9 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 
 @compiled
-def is_swing_braked(state: State, c: Config) -> bool:
+def is_swing_braked(state: State) -> bool:
     """Whether the tracks drive and the brake holds the upper structure, as far as a branch assumes."""
-    fastest = max(abs(state.speeds.left), abs(state.speeds.right))
-    drives = state.motion.motion in (_STRAIGHT, _TURNING) and fastest > c.motion_limits.standing_speed
-    return bool(drives and state.fault[BRAKE] == IS_HEALTHY)
+    return bool(state.motion.motion in (_STRAIGHT, _TURNING) and state.fault[BRAKE] == IS_HEALTHY)
 
 
 @compiled
@@ -124,7 +122,7 @@ def end_brake_fault(state: State, previous: int) -> None:
 @compiled
 def is_free_to_swing(state: State, source: int, c: Config) -> bool:
     """Whether a source is mounted on the upper structure, and the upper structure is free to swing."""
-    return bool(c.above[source] == 1 and not is_swing_braked(state, c))
+    return bool(c.above[source] == 1 and not is_swing_braked(state))
 
 
 @compiled
@@ -144,7 +142,7 @@ def _swing_share(rate: float) -> float:
 def _rate_noise(rate: float, state: State, c: Config) -> tuple[float, float]:
     """q and τ at a swing rate."""
     n, share = c.swing, _swing_share(rate)
-    if not is_swing_braked(state, c):
+    if not is_swing_braked(state):
         return n.free_density, n.free_time
     return n.held_density + share * n.free_density, n.held_time + share * (n.free_time - n.held_time)
 
