@@ -45,6 +45,7 @@ from trackslip_estimation.setup_check.missing_values import remove_missing
 from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns, turn_scale
+from trackslip_estimation.setup_check.twist_frame import judge_twist_frame
 
 _UNIT_GAIN = 8.0  # ln likelihood ratio: another unit of headings, a delay against a lever arm
 _SEGMENTS = (2.5, 5.0, 10.0, 20.0, 40.0)  # s, lengths of segments
@@ -86,6 +87,9 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
         findings.add(unmoved.judge_dead_tracks(log) or [_STANDSTILL_QUESTION])
         return []
     log, drive = _correct_quantities(log, findings)
+    if frames := judge_twist_frame(drive):  # the tracks show no path
+        findings.add(frames)
+        return summary_lines(log, drive, 1.0)
     rough = speeds.rough_scale(drive)
     unit = speeds.likely_unit(rough, speeds.speed_units(log))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))

@@ -26,6 +26,7 @@ _CONTRADICTED_FINDINGS: Mapping[str, Sequence[str]] = {  # cause → findings th
     "gyro_unit": (*_GYRO, *_TURNS),
     "speed_unit": (*_TURNS, *_DISTANCES),
     "travel_gear": (*_TURNS, *_DISTANCES),
+    "twist_frame": (*_TURNS, *_DISTANCES),
     "time_unit": (*_TRACKS, "gyro_bias", "pose_delay"),
     "missing_value": (*_TURNS, *_DISTANCES),
 }

@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Speed of an odometry in the frame of the map instead of that of the machine.
+
+    d      displacement by the fixes in a window                           (w, 2) m
+    s      distance of the tracks in it, signed                            (w,) m
+
+Of a machine, |s| is |d| but for slip. Along one axis of a map, s is d · a with a constant vector a.
+"""
+
+import numpy as np
+
+from trackslip_estimation.setup_check.drive import Drive
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Finding, odds_of
+from trackslip_estimation.setup_check.heading import window_displacements
+
+_LEAST_WINDOWS = 20
+_MOST_REST = 0.1  # share of s² that d · a leaves
+_INDEPENDENT = 4  # windows of which the errors are one
+_STDDEVS = 3.0  # of the fixes, by which a displacement exceeds their noise
+
+
+def judge_twist_frame(drive: Drive) -> list[Finding]:
+    """The cause if the tracks show one component of the displacement in the map, whatever the course."""
+    if drive.fixes is None:
+        return []
+    moved = window_displacements(drive.fixes, drive.grid)
+    tracks = drive.tracks_over_tread.mean(axis=1) * drive.machine.tread
+    is_used = np.isfinite(moved) & np.isfinite(tracks) & (np.abs(moved) > _STDDEVS * drive.fixes.noise)
+    if is_used.sum() < _LEAST_WINDOWS:
+        return []
+    moved, tracks = moved[is_used], tracks[is_used]
+    d = np.column_stack((moved.real, moved.imag))
+    axis = np.linalg.lstsq(d, tracks)[0]
+    along_axis = float(np.sum((tracks - d @ axis) ** 2))
+    distance, driven = np.abs(moved), np.abs(tracks)
+    along_course = float(np.sum((driven - distance * (driven @ distance) / (distance @ distance)) ** 2))
+    gain = len(tracks) / (2.0 * _INDEPENDENT) * np.log(along_course / along_axis) - PRIOR
+    if gain < LEAST_LOG or along_axis > _MOST_REST * float(tracks @ tracks):
+        return []
+    angle = np.degrees(np.arctan2(axis[1], axis[0]))
+    evidence = (
+        f"on all courses the speed is that along one direction of the map, {angle:.0f}° from x; along the "
+        f"course it errs {np.sqrt(along_course / along_axis):.2g} times as much"
+    )
+    remedy = (
+        "Record a twist in the frame of the machine (child_frame_id, REP 105), or the speeds of wheels or "
+        "sprockets themselves"
+    )
+    return [Cause("twist_frame", "sprockets", evidence, odds_of(float(gain)), remedy)]
