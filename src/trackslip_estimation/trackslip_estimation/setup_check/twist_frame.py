@@ -38,9 +38,9 @@ def judge_twist_frame(drive: Drive) -> list[Finding]:
     gain = len(tracks) / (2.0 * _INDEPENDENT) * np.log(along_course / along_axis) - PRIOR
     if gain < LEAST_LOG or along_axis > _MOST_REST * float(tracks @ tracks):
         return []
-    angle = np.degrees(np.arctan2(axis[1], axis[0]))
+    angle = float(np.degrees(np.arctan2(axis[1], axis[0])))
     evidence = (
-        f"on all courses the speed is that along one direction of the map, {angle:.0f}° from x; along the "
+        f"on all courses the speed is that along one direction of the map, {round(angle)}° from x; along the "
         f"course it errs {np.sqrt(along_course / along_axis):.2g} times as much"
     )
     remedy = (
