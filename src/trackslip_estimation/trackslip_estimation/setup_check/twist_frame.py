@@ -16,13 +16,14 @@ from trackslip_estimation.setup_check.heading import window_displacements
 
 _LEAST_WINDOWS = 20
 _MOST_REST = 0.1  # share of s² that d · a leaves
+_LEAST_GAIN = 3.0  # the rest of |d| over that of d · a: drives on one line, with pauses, leave both
 _INDEPENDENT = 4  # windows of which the errors are one
 _STDDEVS = 3.0  # of the fixes, by which a displacement exceeds their noise
 
 
 def judge_twist_frame(drive: Drive) -> list[Finding]:
     """The cause if the tracks show one component of the displacement in the map, whatever the course."""
-    if drive.fixes is None:
+    if drive.fixes is None or drive.fixes.is_above:  # a swing moves the sensor, too
         return []
     moved = window_displacements(drive.fixes, drive.grid)
     tracks = drive.tracks_over_tread.mean(axis=1) * drive.machine.tread
@@ -35,13 +36,14 @@ def judge_twist_frame(drive: Drive) -> list[Finding]:
     along_axis = float(np.sum((tracks - d @ axis) ** 2))
     distance, driven = np.abs(moved), np.abs(tracks)
     along_course = float(np.sum((driven - distance * (driven @ distance) / (distance @ distance)) ** 2))
-    gain = len(tracks) / (2.0 * _INDEPENDENT) * np.log(along_course / along_axis) - PRIOR
-    if gain < LEAST_LOG or along_axis > _MOST_REST * float(tracks @ tracks):
+    ratio = along_course / along_axis
+    gain = len(tracks) / (2.0 * _INDEPENDENT) * np.log(ratio) - PRIOR
+    if gain < LEAST_LOG or ratio < _LEAST_GAIN or along_axis > _MOST_REST * float(tracks @ tracks):
         return []
     angle = float(np.degrees(np.arctan2(axis[1], axis[0])))
     evidence = (
         f"on all courses the speed is that along one direction of the map, {round(angle)}° from x; along the "
-        f"course it errs {np.sqrt(along_course / along_axis):.2g} times as much"
+        f"course it errs {np.sqrt(ratio):.2g} times as much"
     )
     remedy = (
         "Record a twist in the frame of the machine (child_frame_id, REP 105), or the speeds of wheels or "
