@@ -15,7 +15,7 @@ from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Fi
 from trackslip_estimation.setup_check.heading import window_displacements
 
 _LEAST_WINDOWS = 20
-_MOST_REST = 0.1  # share of s² that d · a leaves
+_MOST_REST, _LEAST_REST = 0.1, 0.05  # shares of s² that d · a, and |d|, leave
 _LEAST_GAIN = 3.0  # the rest of |d| over that of d · a: drives on one line, with pauses, leave both
 _INDEPENDENT = 4  # windows of which the errors are one
 _STDDEVS = 3.0  # of the fixes, by which a displacement exceeds their noise
@@ -36,9 +36,10 @@ def judge_twist_frame(drive: Drive) -> list[Finding]:
     along_axis = float(np.sum((tracks - d @ axis) ** 2))
     distance, driven = np.abs(moved), np.abs(tracks)
     along_course = float(np.sum((driven - distance * (driven @ distance) / (distance @ distance)) ** 2))
-    ratio = along_course / along_axis
+    total, ratio = float(tracks @ tracks), along_course / along_axis
     gain = len(tracks) / (2.0 * _INDEPENDENT) * np.log(ratio) - PRIOR
-    if gain < LEAST_LOG or ratio < _LEAST_GAIN or along_axis > _MOST_REST * float(tracks @ tracks):
+    is_along_axis = ratio > _LEAST_GAIN and along_axis < _MOST_REST * total
+    if gain < LEAST_LOG or not is_along_axis or along_course < _LEAST_REST * total:
         return []
     angle = float(np.degrees(np.arctan2(axis[1], axis[0])))
     evidence = (
