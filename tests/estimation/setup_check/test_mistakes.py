@@ -247,6 +247,14 @@ def test_a_standstill_names_the_motion_that_is_needed() -> None:
     assert result.undetermined
 
 
+def test_turns_on_the_spot_alone_have_no_frame_of_a_twist() -> None:
+    """The antenna moves on a circle, and the mean of the tracks is zero, or rounding errors of it."""
+    log = make_drive(programme=((4.0, 0.0, 0.0), (20.0, 0.0, 0.5), (20.0, 0.0, -0.5)), has_heading=False)
+    opposite = log.with_tracks(np.array(((1.0, 0.0), (-1.0, 0.0))))
+    for one in (log, opposite):
+        assert names_of(one) == set()
+
+
 def test_tracks_that_never_count_while_fixes_move_are_named() -> None:
     """As of odometry whose twist is left empty."""
     log = make_drive()

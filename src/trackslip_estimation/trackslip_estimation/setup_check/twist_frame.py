@@ -31,12 +31,15 @@ def judge_twist_frame(drive: Drive) -> list[Finding]:
     if is_used.sum() < _LEAST_WINDOWS:
         return []
     moved, tracks = moved[is_used], tracks[is_used]
+    total, noise = float(tracks @ tracks), len(tracks) * drive.fixes.noise**2
+    if total <= _STDDEVS**2 * noise:  # turns on the spot alone
+        return []
     d = np.column_stack((moved.real, moved.imag))
     axis = np.linalg.lstsq(d, tracks)[0]
-    along_axis = float(np.sum((tracks - d @ axis) ** 2))
+    along_axis = max(float(np.sum((tracks - d @ axis) ** 2)), noise, 1e-9 * total)
     distance, driven = np.abs(moved), np.abs(tracks)
     along_course = float(np.sum((driven - distance * (driven @ distance) / (distance @ distance)) ** 2))
-    total, ratio = float(tracks @ tracks), along_course / along_axis
+    ratio = along_course / along_axis
     gain = len(tracks) / (2.0 * _INDEPENDENT) * np.log(ratio) - PRIOR
     is_along_axis = ratio > _LEAST_GAIN and along_axis < _MOST_REST * total
     if gain < LEAST_LOG or not is_along_axis or along_course < _LEAST_REST * total:
