@@ -8,16 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.changes import changed
 from fixtures.drawn_machine import GNSS
 from fixtures.pose_errors import errors_over
-from fixtures.swinging_cab import Cab, Part, dig, record
+from fixtures.swinging_cab import COMPASS, Cab, Part, cab_headings, dig, record
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
-from trackslip_estimation.slip.measurements import HeadingFix, Measurement, Outcome, PoseFix, Sprockets
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
+WITH_COMPASS = {"vehicle": "pc05_cab", "heading_sources": [COMPASS], f"sources.{COMPASS}.offset": 0.0}
 WITHOUT_ENCODER = {"vehicle": "pc05_cab", "swing_sources": [""]}
 RECEIVERS: Mapping[str, Mapping[str, float | bool]] = {
     "two antennas": {"sources.box_pose.yaw_offset_stddev": 0.02},
@@ -82,7 +84,7 @@ SILENT = [
     Part(8.0, -2.0, -2.0),
     Part(9.0),
 ]
-SILENCE = 26.0, 61.0  # s
+SILENCE = 27.0, 62.0  # s, of stamps
 
 
 @pytest.mark.parametrize("fix_hertz", [5.0, 1.0])
@@ -94,11 +96,7 @@ def test_cab_that_swung_while_the_sprockets_were_silent_is_found_again(
     drive = record(
         [*BEFORE, Part(2.0), *SILENT, *AFTER, *AFTER], Cab(fix_hertz=fix_hertz, encoder=False, gyro=gyro)
     )
-    measurements = [
-        m
-        for m in drive.measurements
-        if not (isinstance(m, Sprockets) and SILENCE[0] <= m.stamp_ns * 1e-9 - 1.0 < SILENCE[1])
-    ]
+    measurements = changed(drive.measurements, Sprockets, lambda _: None, *SILENCE)
     found, _ = errors_over(
         measurements, drive, load_slip_parameters(WITHOUT_ENCODER, GNSS, RECEIVERS["one antenna"])
     )
@@ -111,13 +109,9 @@ def test_cab_that_swung_while_the_sprockets_were_silent_is_found_again(
 @pytest.mark.parametrize("swing", [0.0, 2.0])
 def test_compass_on_the_cab_corrects_a_wrong_initial_heading(swing: float) -> None:
     drive = record([Part(6.0), Part(20.0, 2.0, 2.0)], Cab(start=swing))
-    sprockets = [m for m in drive.measurements if isinstance(m, Sprockets)]
-    compass = [
-        HeadingFix("heading", m.stamp_ns, math.remainder(pose[2] + swing, math.tau), 1e-4)
-        for m, pose in zip(sprockets[40:], drive.poses[40:], strict=True)
-    ]
+    compass = [m for m in cab_headings(drive, 20.0) if m.stamp_ns >= 3 * 10**9]
     parameters = load_slip_parameters(
-        {"vehicle": "pc05_cab", "heading_sources": ["heading"], "sources.heading.offset": 0.0},
+        WITH_COMPASS,
         {"start": "initial_pose", "initial_yaw": 1.2, "sources.box_pose.use_heading": False, **GNSS},
     )
     measurements = sorted([*drive.measurements, *compass], key=lambda m: m.stamp_ns)
