@@ -13,7 +13,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.records import HEADING, POSE, VELOCITY
+from trackslip_estimation.slip.records import POSE, VELOCITY
 from trackslip_estimation.slip.source_offsets import pose_source_number
 
 if TYPE_CHECKING:
@@ -57,10 +57,17 @@ class SourceFault(IntEnum):
 
 
 @compiled
+def has_fault(state: State, source: int) -> bool:
+    """Whether a branch assumes a fault of a source, of its headings or of anything else."""
+    return bool(state.fault[source] != IS_HEALTHY or state.heading_fault[source] != IS_HEALTHY)
+
+
+@compiled
 def is_trusted(state: State, source: int, kind: int) -> bool:
     """Whether a measurement is free of faults: a position is, where only headings have an offset."""
-    is_angle_sound = kind == POSE or state.heading_fault[source] == IS_HEALTHY
-    return bool(state.fault[source] == IS_HEALTHY and is_angle_sound)
+    if kind == POSE:
+        return bool(state.fault[source] == IS_HEALTHY)
+    return not has_fault(state, source)
 
 
 @compiled
@@ -98,7 +105,7 @@ def are_sources_consistent(state: State) -> bool:
     """Whether the latest measurement of each source without a fault agreed with the branch."""
     for source in range(state.fault.size):
         latest_ns = max(state.weighed_ns[source], state.received_ns[source])
-        if is_trusted(state, source, HEADING) and latest_ns > state.consistent_ns[source]:
+        if not has_fault(state, source) and latest_ns > state.consistent_ns[source]:
             return False
     return True
 

@@ -46,10 +46,8 @@ from trackslip_estimation.slip.models.swing import is_free_to_swing, is_swing_br
 from trackslip_estimation.slip.records import (
     BRAKE,
     GYROS,
-    HEADING,
     MOST_SOURCES,
     OLDER,
-    ON_SWING,
     POSE,
     TRACKS,
     VELOCITY,
@@ -60,6 +58,7 @@ from trackslip_estimation.slip.source_faults import (
     IS_REPEATING,
     IS_STAYING,
     can_be_repetition,
+    has_fault,
     is_trusted,
 )
 from trackslip_estimation.slip.source_offsets import (
@@ -180,7 +179,7 @@ def make_source_fault_children(window: Window, p: int, k: int, penalty: float, c
     if not has_recent_fix(before, window.measurements[k], c):
         return
     for other in range(MOST_SOURCES):
-        if not is_trusted(before, other, HEADING):
+        if has_fault(before, other):
             continue
         if c.yaw_offsets[other] >= 0:
             add_child_since_snapshot(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
@@ -215,7 +214,7 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
     for other in range(MOST_SOURCES):
-        if c.measures_swing[other] == 1 and is_trusted(before, other, ON_SWING):
+        if c.measures_swing[other] == 1 and not has_fault(before, other):
             add_child_since_snapshot(window, p, k, REPEATS, other, 0, -penalty, c)
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import add_child
 from trackslip_estimation.slip.events import ANGLES, BECAME_JUMP, MOVED, OFFSET
-from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, POSE
-from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, IS_WANDERING, is_trusted
+from trackslip_estimation.slip.records import MOST_SOURCES, POSE
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, IS_WANDERING, has_fault, is_trusted
 from trackslip_estimation.slip.source_offsets import pose_source_number
 from trackslip_estimation.slip.window import Window
 
@@ -69,7 +69,7 @@ def _is_heading_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
         return False
     for other in range(MOST_SOURCES):
         same_angle = c.yaw_offsets[other] >= 0 and c.measures_swing[other] == c.measures_swing[source]
-        shows = other != source and same_angle and is_trusted(before, other, HEADING)
+        shows = other != source and same_angle and not has_fault(before, other)
         if shows and before.consistent_ns[other] > since_ns:
             return False  # this other source measures no jump
     return _begins_period(window, s, k, since_ns, 1.0, c)
