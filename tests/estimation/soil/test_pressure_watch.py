@@ -26,6 +26,8 @@ NUMBERS = record_of(WatchParameters, P.watch)
 STEP = 0.01  # s
 STRAIGHT = (45e5, 45e5, 0.3, 0.3, Motion.STRAIGHT)  # Pa, Pa, track speeds m/s
 LEFT_TURN = (-17e5, 120e5, 0.16, 0.35, Motion.TURNING)
+SPOT_TURN = (-80e5, 80e5, -0.2, 0.2, Motion.TURNING)
+REVERSE = (-45e5, -45e5, -0.3, -0.3, Motion.STRAIGHT)
 RIGHT_IN_REVERSE = (17e5, -120e5, -0.16, -0.35, Motion.TURNING)
 STANDING = (0.0, 0.0, 0.0, 0.0, Motion.STANDING)
 Phase = tuple[float, float, float, float, Motion]
@@ -76,7 +78,7 @@ def bench() -> Bench:
 
 
 def test_true_pressures_cause_no_fault(bench: Bench) -> None:
-    for phase in (STANDING, STRAIGHT, LEFT_TURN, RIGHT_IN_REVERSE, STRAIGHT, STANDING):
+    for phase in (STANDING, STRAIGHT, LEFT_TURN, RIGHT_IN_REVERSE, SPOT_TURN, REVERSE, STRAIGHT, STANDING):
         assert set(bench.drive(phase, 5.0)) == {None}
     assert bench.faults == ()
 
@@ -122,20 +124,46 @@ def test_pressures_that_a_gateway_repeats_are_used(bench: Bench) -> None:
     assert set(bench.drive(STRAIGHT, 10.0, lambda p: next(held))) == {None}
 
 
-@pytest.mark.parametrize(
-    ("side", "fault"), [(0, PressureFault.LEFT_STUCK), (1, PressureFault.RIGHT_STUCK)], ids=str
+SIDES = pytest.mark.parametrize(
+    ("side", "fault"), [(0, PressureFault.LEFT_LOW), (1, PressureFault.RIGHT_LOW)], ids=str
 )
-def test_a_dead_transducer_that_reads_noise_about_zero_is_named_and_stays_so_in_turns(
-    bench: Bench, side: int, fault: PressureFault
+
+
+@SIDES
+@pytest.mark.parametrize("factor", [0.0, 0.1, 6.895e-2 * 1.5, -1.0], ids=["dead", "tenth", "psi", "sign"])
+def test_a_transducer_far_below_the_other_is_named_and_stays_so_in_turns(
+    bench: Bench, side: int, fault: PressureFault, factor: float
 ) -> None:
-    def dead(p: np.ndarray) -> np.ndarray:
-        p[side] = p[side] % 5e4 - 2.5e4
+    def low(p: np.ndarray) -> np.ndarray:
+        p[side] *= factor
+        p[side] += p[1 - side] % 5e4 - 2.5e4
         return p
 
-    output = bench.drive(STRAIGHT, 4.0, dead)
+    output = bench.drive(STRAIGHT, 4.0, low)
     assert set(output[200:]) == {fault}
-    assert set(bench.drive(LEFT_TURN, 2.0, dead)) == {fault}
-    bench.drive(STRAIGHT, 0.1)
+    assert set(bench.drive(LEFT_TURN, 2.0, low)) <= {fault, PressureFault.SWAPPED}
+    assert fault in bench.faults
+    assert set(bench.drive(STRAIGHT, 1.0, low)) == {fault}
+
+
+@SIDES
+def test_a_load_across_the_tracks_is_no_fault(bench: Bench, side: int, fault: PressureFault) -> None:
+    def across(p: np.ndarray) -> np.ndarray:
+        p[side] /= 3.0
+        return p
+
+    assert set(bench.drive(STRAIGHT, 5.0, across)) == {None}
+
+
+def test_transducers_without_sign_are_named_in_the_first_reverse_until_another_refutes_it(
+    bench: Bench,
+) -> None:
+    assert set(bench.drive(STRAIGHT, 2.0, np.abs)) == {None}
+    assert set(bench.drive(REVERSE, 2.0, np.abs)) == {PressureFault.WRONG_SIGN}
+    assert set(bench.drive(SPOT_TURN, 2.0, np.abs)) == {PressureFault.WRONG_SIGN}
+    assert set(bench.drive(STRAIGHT, 2.0, np.abs)) == {PressureFault.WRONG_SIGN}
+    assert bench.faults == (PressureFault.WRONG_SIGN,)
+    bench.drive(REVERSE, 2.0)
     assert bench.faults == ()
 
 

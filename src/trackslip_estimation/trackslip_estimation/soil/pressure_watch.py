@@ -5,9 +5,11 @@
 Evidence for each fault is a time: a sample for it adds its duration, a sample against it subtracts it.
 Pressures are unused from the first sample for a fault (a stuck one: after ``grace_time``, for gateways
 repeat readings). The fault is reported once its evidence reaches ``report_time``, and until it falls to 0.
+A sample that one fault explains is no evidence about those after it.
 
 The sum of both pressures drives the machine against its resistance wherever it does not roll downhill, in
-turns too. A smaller sum has the wrong unit, or one side the wrong sign.
+turns too. A smaller sum has the wrong unit or sign. Driving straight, each side bears its share. Transducers
+without sign show it only in reverse: both ways have evidence of their own.
 """
 
 import math
@@ -38,9 +40,11 @@ class PressureFault(Enum):
     """Faults of the pressures, with their texts in diagnostics."""
 
     DROPPED = "hydraulics silent, or readings further apart than moments.longest_gap"
-    LEFT_STUCK = "left pressure stuck or zero"
-    RIGHT_STUCK = "right pressure stuck or zero"
+    LEFT_STUCK = "left pressure stuck"
+    RIGHT_STUCK = "right pressure stuck"
     BEYOND_RELIEF = "pressure above the relief pressure"
+    LEFT_LOW = "left pressure far below the right one while driving straight: transducer, sign or unit of one of them"
+    RIGHT_LOW = "right pressure far below the left one while driving straight: transducer, sign or unit of one of them"
     IN_KPA = "pressure in kPa instead of Pa"
     IN_PSI = "pressure in psi instead of Pa"
     IN_BAR = "pressure in bar instead of Pa"
@@ -56,6 +60,8 @@ class PressureFault(Enum):
     _LEFT_STUCK,
     _RIGHT_STUCK,
     _BEYOND_RELIEF,
+    _LEFT_LOW,
+    _RIGHT_LOW,
     _IN_KPA,
     _IN_PSI,
     _IN_BAR,
@@ -63,8 +69,8 @@ class PressureFault(Enum):
     _TOO_LOW,
     _WRONG_SIGN,
     _SWAPPED,
-) = range(11)
-_NOT_ZERO = 5.0  # times the largest reading that counts as zero: beyond it a reading is a pressure
+) = range(13)
+_SAME_SPOOLS = 0.1  # relative difference of the spools up to which they ask for no turn
 NO_FAULT = -1
 _RIGHT_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
@@ -74,7 +80,7 @@ _FOR, _AGAINST, _OPEN = 1, 0, -1  # evidence of a sample for a fault
 class PressureWatch(Record):
     """Evidence for faults, and the newest reading."""
 
-    seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against
+    seconds: Annotated[FloatArray, (len(PressureFault), 2)]  # for each fault, less those against: forward, in reverse
     is_reported: Annotated[IntArray, len(PressureFault)]
     reading: Annotated[FloatArray, 2]
 
@@ -87,8 +93,8 @@ class WatchParameters(Parameters):
         "duration of the evidence after which a fault is reported", unit="s", gt=0.0
     )
     grace_time: float = parameter("time for which equal readings may be chance", unit="s", ge=0.0)
-    zero_share: float = parameter(
-        "ratio to the other pressure up to which a pressure counts as zero", ge=0.0, lt=0.2
+    least_share: float = parameter(
+        "least ratio of a pressure to the other one while driving straight", gt=0.0, lt=1.0
     )
     relief_margin: float = parameter("margin over the relief pressure, as share of it", ge=0.0)
     least_pressure: float = parameter("least sum of both pressures while driving", unit="Pa", gt=0.0)
@@ -123,55 +129,76 @@ def evaluate_pressures(
         elif not sample.has_pressures:
             return DROPPED
         elif fault <= _RIGHT_STUCK:
-            is_straight = sample.motion == _STRAIGHT and not downhill
-            evidence = _stuck_evidence(watch, fault, sample, p, is_straight)
+            evidence = _stuck_evidence(watch, fault, sample, p)
         elif fault == _BEYOND_RELIEF:
             highest = max(abs(sample.pressures[0]), abs(sample.pressures[1]))
             evidence = _FOR if highest > (1.0 + p.relief_margin) * relief_pressure else _AGAINST
+        elif unusable != NO_FAULT:
+            evidence = _OPEN
+        elif fault <= _RIGHT_LOW:
+            evidence = _OPEN if downhill else _low_evidence(fault - _LEFT_LOW, sample, p)
         elif fault == _SWAPPED:
-            evidence = _OPEN if watch.seconds[_WRONG_SIGN] > 0.0 else _swap_evidence(sample, p)
-        elif likely_unit == _OPEN or watch.is_reported[_LEFT_STUCK] or watch.is_reported[_RIGHT_STUCK]:
+            evidence = _swap_evidence(sample, p)
+        elif likely_unit == _OPEN:
             evidence = _OPEN
         else:
             evidence = _FOR if fault == likely_unit else _AGAINST
-        if _accumulate_evidence(watch, fault, evidence, sample.dt, p) and unusable == NO_FAULT:
+        if _accumulate_evidence(watch, fault, sample, evidence, p) and unusable == NO_FAULT:
             unusable = fault
     return unusable
 
 
 @compiled
 def _accumulate_evidence(
-    watch: PressureWatch, fault: int, evidence: int, dt: float, p: WatchParameters
+    watch: PressureWatch, fault: int, sample: Sample, evidence: int, p: WatchParameters
 ) -> bool:
-    """Add the evidence of one sample; return whether the fault makes its pressures unusable."""
+    """Add the evidence of a sample; return whether the fault makes its pressures unusable."""
+    has_way = fault in (_LEFT_LOW, _RIGHT_LOW, _WRONG_SIGN)
+    way = int(has_way and sample.tracks[0] + sample.tracks[1] < 0.0)
+    seconds = watch.seconds[fault]
     if evidence != _OPEN:
-        seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
-        watch.seconds[fault] = min(max(seconds, 0.0), p.report_time)
-    persists = watch.is_reported[fault] or watch.seconds[fault] >= p.report_time
-    watch.is_reported[fault] = watch.seconds[fault] > 0.0 and persists
+        seconds[way] += sample.dt if evidence == _FOR else -sample.dt
+        seconds[way] = min(max(seconds[way], 0.0), p.report_time)
+    most = max(seconds[0], seconds[1])
+    watch.is_reported[fault] = most > 0.0 and (watch.is_reported[fault] or most >= p.report_time)
     grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
-    return bool(watch.is_reported[fault] or (evidence == _FOR and watch.seconds[fault] > grace))
+    return bool(watch.is_reported[fault] or (evidence == _FOR and seconds[way] > grace))
 
 
 @compiled
-def _stuck_evidence(
-    watch: PressureWatch, fault: int, sample: Sample, p: WatchParameters, is_straight: bool
-) -> int:
-    """Return the evidence for a stuck transducer: equal readings, or zero while the other side drives.
+def _stuck_evidence(watch: PressureWatch, fault: int, sample: Sample, p: WatchParameters) -> int:
+    """Return the evidence for a stuck transducer: equal readings.
 
-    At standstill readings may be equal, and no change refutes the fault. ``is_straight``: whether the machine
-    drives straight, and not downhill; only then both sides need pressure.
+    At standstill readings may be equal, and no change refutes the fault.
     """
     side = fault - _LEFT_STUCK
-    reading, other = sample.reading[side], abs(sample.reading[1 - side])
+    reading = sample.reading[side]
     is_equal, watch.reading[side] = reading == watch.reading[side], reading
     if not (abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed):
         return _OPEN
-    if is_equal or (is_straight and abs(reading) <= p.zero_share * other):
+    if is_equal:
         return _FOR
-    if abs(reading) > _NOT_ZERO * p.zero_share * other:
-        watch.seconds[fault] = 0.0  # a changed reading refutes the fault
+    watch.seconds[fault, 0] = 0.0  # a changed reading refutes the fault
     return _OPEN
+
+
+@compiled
+def _low_evidence(side: int, sample: Sample, p: WatchParameters) -> int:
+    """Return the evidence for a side that drives far less than the other while both drive straight.
+
+    Spools that ask for a turn, which the ground resists, are no evidence.
+    """
+    left, right = sample.tracks[0], sample.tracks[1]
+    difference = abs(sample.spools[0] - sample.spools[1])
+    if difference > _SAME_SPOOLS * max(abs(sample.spools[0]), abs(sample.spools[1])):
+        return _OPEN
+    if sample.motion != _STRAIGHT or min(abs(left), abs(right)) <= p.least_speed or left * right <= 0.0:
+        return _OPEN
+    forward = math.copysign(1.0, left)
+    low, high = forward * sample.pressures[side], forward * sample.pressures[1 - side]
+    if high < p.least_pressure:
+        return _OPEN
+    return _FOR if low < p.least_share * high else _AGAINST
 
 
 @compiled
