@@ -13,7 +13,8 @@ from trackslip_estimation.soil.thrust import (
     hold_thrust,
     measure_thrust,
     motor_of,
-    new_offsets,
+    new_transducers,
+    update_noise,
     update_offsets,
 )
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
@@ -30,18 +31,21 @@ class Meter:
 
     def __init__(self) -> None:
         self._numbers, self._motor = record_of(ThrustParameters, P.thrust)[0], motor_of(P.vehicle.whole())[0]
-        self.offsets = new_offsets(P.thrust)[0]
+        self.transducers = new_transducers(P.thrust)[0]
 
     def learn(self, pressures: np.ndarray | None) -> bool:
         """Update the offsets after STEP; None means motion. Returns whether a pressure was rejected."""
         is_standing = pressures is not None
         readings = pressures if is_standing else np.zeros(2)
-        return update_offsets(self.offsets, readings, is_standing, STEP, self._numbers)
+        return update_offsets(self.transducers, readings, is_standing, STEP, self._numbers)
 
     def measure(self, pressures: np.ndarray, speeds: np.ndarray) -> np.void:
         thrust = np.zeros(1, THRUST)
-        measure_thrust(thrust[0], pressures, speeds, self.offsets, self._numbers, self._motor)
+        measure_thrust(thrust[0], pressures, speeds, self.transducers, self._numbers, self._motor)
         return thrust[0]
+
+    def read(self, reading: np.ndarray) -> None:
+        update_noise(self.transducers, reading, self._numbers)
 
     def hold(self, thrust: np.void) -> None:
         hold_thrust(thrust, STEP, self._numbers, self._motor)
@@ -59,7 +63,7 @@ def test_digging_pressure_is_not_learned_as_an_offset() -> None:
     offsets = np.array((0.2 * BAR, -0.4 * BAR))
     assert learn_for(meter, offsets, 10.0, noise) == 0
     assert learn_for(meter, offsets + 3.0 * BAR, 8.0, noise) > 750
-    np.testing.assert_allclose(meter.offsets["mean"], offsets, atol=0.05 * BAR)
+    np.testing.assert_allclose(meter.transducers["offset"], offsets, atol=0.05 * BAR)
     assert learn_for(meter, offsets, 10.0, noise) == 0
 
 
@@ -67,7 +71,7 @@ def test_changed_offset_is_learned_after_its_persist_time() -> None:
     meter, noise = Meter(), P.thrust.pressure_stddev
     learn_for(meter, np.zeros(2), 10.0, noise)
     learn_for(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.persist_time, noise)
-    np.testing.assert_allclose(meter.offsets["mean"], 3.0 * BAR, atol=0.2 * BAR)
+    np.testing.assert_allclose(meter.transducers["offset"], 3.0 * BAR, atol=0.2 * BAR)
 
 
 @pytest.mark.parametrize("soil", ["sand", "sandy_loam", "clayey_soil", "dry_clay"])
@@ -122,14 +126,14 @@ def test_offsets_of_two_bar_are_learned_to_a_tenth_in_ten_seconds_of_standing(of
     meter = Meter()
     true = np.array((offset, -0.5 * offset)) * BAR
     learn_for(meter, true, 10.0, P.thrust.pressure_stddev)
-    assert (np.abs(meter.offsets["mean"] - true) < 0.1 * BAR).all()
-    assert (np.sqrt(meter.offsets["variance"]) < 0.1 * BAR).all()
+    assert (np.abs(meter.transducers["offset"] - true) < 0.1 * BAR).all()
+    assert (np.sqrt(meter.transducers["offset_variance"]) < 0.1 * BAR).all()
 
 
 def test_trapped_oil_and_slopes_are_no_offsets() -> None:
     meter = Meter()
     learn_for(meter, np.array((30.0, -8.0)) * BAR, 20.0)
-    np.testing.assert_array_equal(meter.offsets["mean"], 0.0)
+    np.testing.assert_array_equal(meter.transducers["offset"], 0.0)
 
 
 def test_offsets_wait_until_the_pressure_has_settled() -> None:
@@ -137,7 +141,7 @@ def test_offsets_wait_until_the_pressure_has_settled() -> None:
     for _ in range(20):
         learn_for(meter, np.full(2, BAR), 0.9 * P.thrust.settling_time)
         meter.learn(None)  # motion
-    np.testing.assert_array_equal(meter.offsets["mean"], 0.0)
+    np.testing.assert_array_equal(meter.transducers["offset"], 0.0)
 
 
 def test_unobserved_thrust_is_held_with_variance_growing_to_relief() -> None:
@@ -154,3 +158,19 @@ def test_unobserved_thrust_is_held_with_variance_growing_to_relief() -> None:
     assert variances[-1] == pytest.approx(
         float(thrust_of_pressure(P.vehicle.whole().relief_pressure, 1, P.vehicle.whole())) ** 2
     )
+
+
+@pytest.mark.parametrize("repeats", [1, 5], ids=["each read once", "repeated by a gateway"])
+@pytest.mark.parametrize("ripple", [0.0, 4.0 * BAR, 20.0 * BAR])
+def test_thrust_is_as_uncertain_as_its_readings_scatter(ripple: float, repeats: int) -> None:
+    """Readings of 2 s of steps between straights and turns, then of a straight, at 50 Hz."""
+    meter, rng, expected = Meter(), np.random.default_rng(2), max(ripple, P.thrust.pressure_stddev)
+    learn_for(meter, np.zeros(2), 10.0)
+    for k in range(600):
+        level = 45.0 * BAR if k > 300 or k // 75 % 2 else 120.0 * BAR
+        reading = level + expected * rng.standard_normal(2)
+        for _ in range(repeats):
+            meter.read(reading)
+    thrust = meter.measure(np.full(2, 45.0 * BAR), np.full(2, 2.0))
+    per_pascal = thrust["force"] / (45.0 * BAR)
+    np.testing.assert_allclose(np.sqrt(thrust["variance"]) / per_pascal, expected, rtol=0.3)

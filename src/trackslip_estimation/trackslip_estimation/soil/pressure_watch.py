@@ -43,8 +43,8 @@ class PressureFault(Enum):
     LEFT_STUCK = "left pressure stuck"
     RIGHT_STUCK = "right pressure stuck"
     BEYOND_RELIEF = "pressure above the relief pressure"
-    LEFT_LOW = "left pressure far below the right one while driving straight: transducer, sign or unit of one of them"
-    RIGHT_LOW = "right pressure far below the left one while driving straight: transducer, sign or unit of one of them"
+    LEFT_LOW = "left pressure far below the right one, driving straight: transducer, sign or unit of one"
+    RIGHT_LOW = "right pressure far below the left one, driving straight: transducer, sign or unit of one"
     IN_KPA = "pressure in kPa instead of Pa"
     IN_PSI = "pressure in psi instead of Pa"
     IN_BAR = "pressure in bar instead of Pa"
@@ -80,7 +80,9 @@ _FOR, _AGAINST, _OPEN = 1, 0, -1  # evidence of a sample for a fault
 class PressureWatch(Record):
     """Evidence for faults, and the newest reading."""
 
-    seconds: Annotated[FloatArray, (len(PressureFault), 2)]  # for each fault, less those against: forward, in reverse
+    seconds: Annotated[
+        FloatArray, (len(PressureFault), 2)
+    ]  # for each fault, less those against: forward, in reverse
     is_reported: Annotated[IntArray, len(PressureFault)]
     reading: Annotated[FloatArray, 2]
 

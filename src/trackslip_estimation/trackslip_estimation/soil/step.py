@@ -52,13 +52,14 @@ from trackslip_estimation.soil.stall import evidence_time, stall_time, track_con
 from trackslip_estimation.soil.strength_average import GATHERING, Average, add_sample
 from trackslip_estimation.soil.thrust import (
     Motor,
-    Offsets,
     ThrustRecord,
+    Transducers,
     hold_thrust,
     measure_thrust,
     motor_of,
-    new_offsets,
+    new_transducers,
     unknown_thrust,
+    update_noise,
     update_offsets,
 )
 from trackslip_estimation.soil.tracks import frame_speeds, track_speed
@@ -79,7 +80,7 @@ class EstimatorState(Record):
     has_begun: int
     newest_ns: int  # stamp of the newest sample
     motor: Motor
-    offsets: Offsets
+    transducers: Transducers
     thrust: ThrustRecord  # measured, or held since
     watch: PressureWatch
     centre: GravityCentre
@@ -139,7 +140,8 @@ def initial_state(p: SoilEstimatorParameters) -> Table[EstimatorState]:
     """Return the state (1,) before the first sample."""
     estimator, motor = make_table(EstimatorState, ESTIMATOR_STATE, 1), motor_of(p.vehicle.whole())
     estimator["motor"], estimator["thrust"] = motor, unknown_thrust(motor[0])
-    estimator["offsets"], estimator["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
+    estimator["transducers"] = new_transducers(p.thrust)
+    estimator["dynamics"] = new_dynamics(p.dynamics)
     estimator["centre"] = new_gravity_centre(p.vehicle)
     estimator["bucket_load"] = new_bucket_load(p.vehicle.whole())
     estimator["volumetric_efficiency"] = np.nan
@@ -196,7 +198,9 @@ def _step(estimator: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
         estimator.watch, sample, p.watch, p.vehicle.relief_pressure, is_downhill
     )
     is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
-    if update_offsets(estimator.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
+    if sample.has_pressures:
+        update_noise(estimator.transducers, sample.reading, p.thrust)
+    if update_offsets(estimator.transducers, sample.pressures, is_standing, sample.dt, p.thrust):
         faults[_AT_REST] += 1
     update_bucket_load(estimator.bucket_load, sample, p.load)
     if fault == NO_FAULT:
@@ -226,8 +230,10 @@ def _step(estimator: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
 @compiled
 def _is_finite(estimator: EstimatorState) -> bool:
     """Whether the estimates that the next sample depends on are finite."""
-    total = estimator.thrust.force.sum() + estimator.thrust.variance.sum() + estimator.offsets.mean.sum()
-    total += estimator.offsets.variance.sum() + estimator.mu.sum() + estimator.mu_variance.sum()
+    total = (
+        estimator.thrust.force.sum() + estimator.thrust.variance.sum() + estimator.transducers.offset.sum()
+    )
+    total += estimator.transducers.offset_variance.sum() + estimator.mu.sum() + estimator.mu_variance.sum()
     total += estimator.dynamics.mean.sum() + estimator.dynamics.covariance.sum()
     return bool(math.isfinite(total))
 
@@ -247,7 +253,9 @@ def _measure_thrusts(estimator: EstimatorState, sample: Sample, p: SoilConfig) -
             sample.dt,
             p.flow,
         )
-    measure_thrust(estimator.thrust, sample.pressures, speeds, estimator.offsets, p.thrust, estimator.motor)
+    measure_thrust(
+        estimator.thrust, sample.pressures, speeds, estimator.transducers, p.thrust, estimator.motor
+    )
 
 
 @compiled

@@ -17,6 +17,8 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
@@ -24,13 +26,17 @@ from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust_of_pressure
 
+_NOISE_READINGS = 100  # number of readings over which their noise is a mean
 
-class Offsets(Record):
-    """Offsets of the pressure transducers."""
 
-    mean: Annotated[FloatArray, 2]  # Pa
-    variance: Annotated[FloatArray, 2]  # Pa²
+class Transducers(Record):
+    """What the readings show of both pressure transducers."""
+
+    offset: Annotated[FloatArray, 2]  # Pa
+    offset_variance: Annotated[FloatArray, 2]  # Pa²
     standstill_time: float  # s, with closed spools
+    readings: Annotated[FloatArray, (2, 2)]  # of each, the newest and the one before, Pa; nan before
+    noise: Annotated[FloatArray, 2]  # measured variance, Pa²
 
 
 class ThrustRecord(Record):
@@ -50,14 +56,16 @@ class Motor(Record):
     full_flow_speed: float  # rad/s of the sprocket at the whole flow, without leakage
 
 
-OFFSETS, THRUST, MOTOR = dtype_of(Offsets), dtype_of(ThrustRecord), dtype_of(Motor)
+TRANSDUCERS, THRUST, MOTOR = dtype_of(Transducers), dtype_of(ThrustRecord), dtype_of(Motor)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThrustParameters(Parameters):
     """Errors of pressures, offsets and thrusts."""
 
-    pressure_stddev: float = parameter("noise of a pressure", unit="Pa", gt=0.0)
+    pressure_stddev: float = parameter(
+        "noise of a pressure; the estimator takes a larger one from its readings", unit="Pa", gt=0.0
+    )
     speed_stddev: float = parameter(
         "standard deviation of a sprocket speed; sets how certain its sign is", unit="rad/s", gt=0.0
     )
@@ -98,11 +106,11 @@ def motor_of(vehicle: Vehicle) -> Table[Motor]:
     return motor
 
 
-def new_offsets(p: ThrustParameters) -> Table[Offsets]:
-    """Return the offsets (1,) before the first standstill."""
-    offsets = make_table(Offsets, OFFSETS, 1)
-    offsets["variance"] = p.offset_stddev**2
-    return offsets
+def new_transducers(p: ThrustParameters) -> Table[Transducers]:
+    """Return the transducers (1,) before the first standstill."""
+    transducers = make_table(Transducers, TRANSDUCERS, 1)
+    transducers["offset_variance"], transducers["readings"] = p.offset_stddev**2, np.nan
+    return transducers
 
 
 def unknown_thrust(motor: Motor) -> Table[ThrustRecord]:
@@ -114,20 +122,20 @@ def unknown_thrust(motor: Motor) -> Table[ThrustRecord]:
 
 @compiled
 def update_offsets(
-    offsets: Offsets, pressures: FloatArray, is_standing: bool, dt: float, p: ThrustParameters
+    transducers: Transducers, pressures: FloatArray, is_standing: bool, dt: float, p: ThrustParameters
 ) -> bool:
     """Propagate the offsets, random walks, by ``dt`` s; update them at standstill with closed spools.
 
     Return whether a pressure was rejected. One that is too large, or far from the known offset, is oil under
     load. A far one inflates the variance of the offset, so that it is accepted if it persists.
     """
-    offsets.standstill_time = offsets.standstill_time + dt if is_standing else 0.0
+    transducers.standstill_time = transducers.standstill_time + dt if is_standing else 0.0
     is_rejected = False
     for k in range(2):
-        variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
-        if is_standing and offsets.standstill_time >= p.settling_time:
+        variance = min(transducers.offset_variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
+        if is_standing and transducers.standstill_time >= p.settling_time:
             innovation_variance = variance + p.pressure_stddev**2
-            scaled_square = (pressures[k] - offsets.mean[k]) ** 2 / p.far_offset**2
+            scaled_square = (pressures[k] - transducers.offset[k]) ** 2 / p.far_offset**2
             if abs(pressures[k]) > p.offset_limit:
                 is_rejected = True
             elif scaled_square > innovation_variance:
@@ -135,10 +143,27 @@ def update_offsets(
                 variance += scaled_square * dt / p.persist_time
             else:
                 gain = variance / innovation_variance
-                offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])
+                transducers.offset[k] += gain * (pressures[k] - transducers.offset[k])
                 variance *= 1.0 - gain
-        offsets.variance[k] = variance
+        transducers.offset_variance[k] = variance
     return is_rejected
+
+
+@compiled
+def update_noise(transducers: Transducers, reading: FloatArray, p: ThrustParameters) -> None:
+    """Update the noise with the newest reading (2,), Pa: a second difference of white noise has 6 σ².
+
+    Ripple of the pump is noise as well. What a motion adds counts as three standard deviations at most.
+    """
+    for k in range(2):
+        newest, before = transducers.readings[k]
+        if reading[k] == newest:
+            continue
+        transducers.readings[k, 0], transducers.readings[k, 1] = reading[k], newest
+        square = (reading[k] - 2.0 * newest + before) ** 2 / 6.0
+        if math.isfinite(square):
+            most = 9.0 * max(transducers.noise[k], p.pressure_stddev**2)
+            transducers.noise[k] += (min(square, most) - transducers.noise[k]) / _NOISE_READINGS
 
 
 @compiled
@@ -146,7 +171,7 @@ def measure_thrust(
     thrust: ThrustRecord,
     pressures: FloatArray,
     speeds: FloatArray,
-    offsets: Offsets,
+    transducers: Transducers,
     p: ThrustParameters,
     motor: Motor,
 ) -> None:
@@ -154,8 +179,9 @@ def measure_thrust(
     thrust.is_known = True
     for k in range(2):
         # At standstill a slope or a little trapped oil is indistinguishable from an offset.
-        variance = offsets.variance[k] + p.offset_residue**2 + p.pressure_stddev**2
-        pressure = pressures[k] - offsets.mean[k]
+        variance = transducers.offset_variance[k] + p.offset_residue**2
+        variance += max(p.pressure_stddev**2, transducers.noise[k])
+        pressure = pressures[k] - transducers.offset[k]
         forward = 0.5 if math.isnan(speeds[k]) else _normal_cdf(speeds[k] / p.speed_stddev)
         positive = _normal_cdf(pressure / math.sqrt(variance))
         drives = forward * positive + (1.0 - forward) * (1.0 - positive)

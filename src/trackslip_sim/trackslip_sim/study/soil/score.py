@@ -23,7 +23,7 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilState
-from trackslip_estimation.soil.thrust import ThrustParameters, new_offsets, update_offsets
+from trackslip_estimation.soil.thrust import ThrustParameters, new_transducers, update_offsets
 from trackslip_sim.study.soil.trial import (
     START_NS,
     Readings,
@@ -143,11 +143,11 @@ def _thrust_errors(
 def _offset_residue(readings: Readings, setting: Setting, standstill: float) -> float:
     """Largest pressure offset, Pa, that remains after the estimator's calibration at standstill."""
     p, period = setting.soil.thrust, 1.0 / setting.study.sprocket_rate
-    offsets, numbers = new_offsets(p)[0], record_of(ThrustParameters, p)[0]
+    transducers, numbers = new_transducers(p)[0], record_of(ThrustParameters, p)[0]
     for reading in readings.pressures[: round(standstill / period)]:
         pressures = np.array((reading.left_pressure, reading.right_pressure))
-        update_offsets(offsets, pressures, True, period, numbers)
-    return float(np.abs(offsets["mean"] - readings.offsets).max())
+        update_offsets(transducers, pressures, True, period, numbers)
+    return float(np.abs(transducers["offset"] - readings.offsets).max())
 
 
 def soil_change(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
