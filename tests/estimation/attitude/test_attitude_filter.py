@@ -229,3 +229,26 @@ def test_message_without_acceleration_does_not_restart_the_span(rate: float) -> 
     samples["force"][1::2] = np.nan
     _, means = run(samples)
     assert np.abs(means[-1, PITCH] - 0.1) < 0.005
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(0.02, 60.0), (0.05, 11.0), (0.2, 3.0)])
+def test_the_roll_recovers_from_a_wrong_roll_rate(rate: float, seconds: float) -> None:
+    ride = Ride(120.0, speed=0.5)
+    samples = ride.samples()
+    samples["rates"][(ride.t > 20.0) & (ride.t < 20.0 + seconds), 0] += rate
+    attitude, means = run(samples)
+    off = np.degrees(np.abs(means[:, ROLL]))
+    assert off[(ride.t > 30.0) & (ride.t < 20.0 + seconds)].max(initial=0.0) < 5.0
+    assert off[ride.t > 30.0 + seconds].max() < 0.5
+    assert stddev(attitude, ROLL) < math.radians(0.5)
+
+
+@pytest.mark.parametrize("braking", [0.5, 1.5, 4.0])
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_a_slide_on_locked_tracks_does_not_tilt_the_estimate(speed: float, braking: float) -> None:
+    t = np.arange(4000) * 0.01
+    ride = Ride(40.0, speed=speed * np.clip(1.0 - (t - 10.0) / braking, 0.0, 1.0))
+    samples = ride.samples()
+    samples["velocity"][t > 10.0, 0] = 0.0
+    _, means = run(samples)
+    assert np.degrees(np.abs(means[:, PITCH])).max() < 0.5

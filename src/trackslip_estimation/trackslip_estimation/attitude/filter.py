@@ -19,9 +19,13 @@ has the effect of a tilt. The bias is a state, and its variance remains in that 
 separate both: the ground does not turn with the machine.
 
 The noise of the accelerometers is adapted: it is a mean of ν² − H P Hᵀ over the last seconds, at least the
-stated variance. Where the machine is shaken, the gyro then dominates. Accelerations are used only while their
-mean is gravity from below: else the IMU has no accelerometers that measure gravity, or is not mounted as
-stated. The orientation of the IMU, if requested, is used in ``orientation``.
+stated variance. Where the machine is shaken, the gyro then dominates. The integral of the innovations is a
+velocity that the tracks do not show: that of a slide, hardly faster than they were. Beyond it the tilt is
+wrong, as after a wrong rate, and at least as uncertain.
+
+Accelerations are used only while their mean is gravity from below: else the IMU has no accelerometers that
+measure gravity, or is not mounted as stated. The orientation of the IMU, if requested, is used in
+``orientation``.
 """
 
 from __future__ import annotations
@@ -66,6 +70,8 @@ if TYPE_CHECKING:
 
 GRAVITY_TOLERANCE = 1.0  # m/s², largest difference of the mean specific force from gravity
 LEAST_UPWARD_FORCE = 0.5 * GRAVITY  # m/s², least mean specific force along z
+_FASTER_SLIDE = 1.0  # m/s, by which a slide may be faster than the tracks were
+_SLIDE_TIME = 10.0  # s, time constant of the velocity of a slide
 _UNMEASURED_RATE_VARIANCE = 1.0  # (rad/s)², least variance of an axis that was not measured
 _UNMEASURED_FORCE_VARIANCE = 1e6  # (m/s²)², least variance of a force that was not measured
 _LEAST_VARIANCE = 1e-12  # (m/s²)², least variance of a force
@@ -263,6 +269,7 @@ def _update_axis(
 ) -> None:
     """Update with one axis; its noise is adapted to the part of ν² that the tilt does not explain."""
     P, dt = a.covariance[:], a.span.time
+    _open_tilt(a, PITCH if axis == 0 else ROLL, innovation)
     stated = max(a.sample.force_variance, _LEAST_VARIANCE) / a.span.samples
     H = h.reshape((1, SIZE))
     predicted = predicted_covariance(P, H)[0, 0]
@@ -276,6 +283,18 @@ def _update_axis(
     a.noise_count[axis] = min(a.noise_count[axis] + share, longest)
     R = max(R + spread, innovation * innovation / n.outlier_nis - predicted)
     correct(a.mean[:], P, independent_observation(np.array((innovation,)), H, np.array(((R,),))))
+
+
+@compiled
+def _open_tilt(a: Attitude, k: int, innovation: float) -> None:
+    """Open the variance of roll or pitch ``k`` to the error that no slide explains."""
+    span = a.span
+    share = span.time / _SLIDE_TIME
+    a.fastest = max(a.fastest * (1.0 - 0.5 * share), math.hypot(span.velocity[0], span.velocity[1]))
+    a.slide[k] += span.time * innovation * span.known - share * a.slide[k]
+    if abs(a.slide[k]) > _FASTER_SLIDE + a.fastest:
+        error = a.slide[k] / (_SLIDE_TIME * GRAVITY)
+        a.covariance[k, k] = max(a.covariance[k, k], error * error)
 
 
 @compiled

@@ -109,6 +109,8 @@ class Attitude(Record):
     span: Span  # samples whose accelerations have not corrected the tilt yet
     noise: Annotated[FloatArray, 2]  # variance of both horizontal axes beyond the model, (m/s²)²
     noise_count: Annotated[FloatArray, 2]  # effective number of samples in ``noise``
+    slide: Annotated[FloatArray, 2]  # velocities that the tracks do not show, by those of roll and pitch, m/s
+    fastest: float  # recent speed of the tracks, m/s
     oriented_ns: int  # stamp of the last orientation that was used
     rejection: int  # ``AttitudeRejection`` of the last orientation; 0: used, or not requested
     altitudes: Altitudes
