@@ -251,7 +251,7 @@ def arrivals_of(drive: Callable[..., Any]) -> list[Measurement]:
     [
         {"model": "turning"},
         {"model": "icr", "sources.box_pose.lever_arm_x": 0.4, "sources.imu_data_raw.sign": -1},
-        {"model": "free_slips", "filter": "daf", "sources.box_pose.use_heading": False},
+        {"model": "free_slips", "filter": "daf"},
     ],
 )
 def test_batches_give_the_same_bits_as_single_measurements(

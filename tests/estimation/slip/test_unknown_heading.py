@@ -11,6 +11,7 @@ import pytest
 from fixtures.imu_samples import imu_sample
 from fixtures.pose_errors import THREE_SIGMA, position_nees
 
+from trackslip_common.errors import InputError
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, VelocityFix
@@ -120,3 +121,26 @@ def test_a_machine_that_is_stuck_from_its_start_has_an_unknown_heading_until_it_
         assert math.sqrt(e.pose_covariance[2, 2]) > 1.0 or not is_stuck
     assert heading_error(e) < 0.1
     assert is_inside(moment, e)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_refused"),
+    [
+        ({}, True),
+        ({"heading_sources": ["heading"]}, False),
+        ({"sources.gnss_pose.use_heading": True}, False),
+        ({"pose_sources": [""]}, False),  # nothing contradicts the start
+        ({"model": "turning"}, False),
+    ],
+    ids=["positions", "compass", "headings", "no fixes", "turning"],
+)
+def test_free_slips_are_refused_where_nothing_measures_the_heading(
+    changes: dict[str, object], is_refused: bool
+) -> None:
+    """Without a fault, positions alone turned the heading of a drive of 4 min by 1.1 rad, claimed to 0.03."""
+    given = {**PARAMETERS, "model": "free_slips"}
+    if not is_refused:
+        load_slip_parameters(given, changes)
+        return
+    with pytest.raises(InputError, match=r"'free_slips' cannot tell .* heading.*; accepted: turning, icr"):
+        load_slip_parameters(given, changes)

@@ -165,12 +165,8 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         if self.max_gap < self.history_window:
             accepted = f"at least history_window, {self.history_window:g} s"
             raise InputError(f"{NODE}: max_gap: {self.max_gap:g} is out of range; accepted: {accepted}")
-        if self.swings and self.model == "free_slips":
-            above = ", ".join(topic for topic, source in self.mountable_sources().items() if source.above)
-            raise InputError(
-                f"{NODE}: model: 'free_slips' has no swing angle, and the upper structure carries {above}; "
-                "accepted: turning, icr"
-            )
+        if self.model == "free_slips":
+            self._check_free_slips()
         if len(self.timeouts_ns()) > TRACKS:
             raise InputError(f"{NODE}: {len(self.timeouts_ns())} sources; accepted: {TRACKS} at the most")
 
@@ -187,6 +183,21 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
             parts += f" headings or swing angles; {offsets} sources of poses and velocities and"
             parts += f" {int(self.has_tilt_states)} tilt of a high antenna, which count twice"
             raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
+
+    def _check_free_slips(self) -> None:
+        """Refuse what the thesis' model cannot tell apart.
+
+        Raises:
+            InputError: sensors are on the upper structure, or no source measures the heading.
+        """
+        if self.swings:
+            above = ", ".join(topic for topic, source in self.mountable_sources().items() if source.above)
+            fault = f"has no swing angle, and the upper structure carries {above}"
+        elif self.poses() and not self.compasses() and not any(p.use_heading for p in self.poses().values()):
+            fault = "cannot tell the slip angle from the heading, which no source measures"
+        else:
+            return
+        raise InputError(f"{NODE}: model: 'free_slips' {fault}; accepted: turning, icr")
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
