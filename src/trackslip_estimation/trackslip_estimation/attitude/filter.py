@@ -291,7 +291,8 @@ def _open_tilt(a: Attitude, k: int, innovation: float) -> None:
     span = a.span
     share = span.time / _SLIDE_TIME
     a.fastest = max(a.fastest * (1.0 - 0.5 * share), math.hypot(span.velocity[0], span.velocity[1]))
-    a.slide[k] += span.time * innovation * span.known - share * a.slide[k]
+    gain = span.time if span.known == 1 and abs(innovation) < GRAVITY else 0.0  # else it is no tilt
+    a.slide[k] += gain * innovation - share * a.slide[k]
     if abs(a.slide[k]) > _FASTER_SLIDE + a.fastest:
         error = a.slide[k] / (_SLIDE_TIME * GRAVITY)
         a.covariance[k, k] = max(a.covariance[k, k], error * error)

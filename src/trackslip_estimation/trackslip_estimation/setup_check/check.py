@@ -43,6 +43,7 @@ from trackslip_estimation.setup_check.heading import heading_unit
 from trackslip_estimation.setup_check.log import TRACKS, Compass, Fixes, Gyro, Log
 from trackslip_estimation.setup_check.missing_values import remove_missing
 from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
+from trackslip_estimation.setup_check.pressures import judge_pressures
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns, turn_scale
 from trackslip_estimation.setup_check.twist_frame import judge_twist_frame
@@ -115,6 +116,7 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     findings.add(directions.findings)
     corrected = directions.correct_signs(comparison.drive)
     if directions.is_decided:
+        findings.add(judge_pressures(corrected))
         _judge_continuous(corrected, unit, gyro_result.unit, findings)
     return summary_lines(log, corrected, unit)
 

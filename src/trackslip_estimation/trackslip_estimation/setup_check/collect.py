@@ -13,9 +13,11 @@ from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.setup_check.clocks import LARGEST_DELAY
 from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
-from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
+from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Pressures, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
+from trackslip_estimation.soil.pressure_watch import WatchParameters
+from trackslip_estimation.soil.records import HYDRAULICS
 
 _UNMEASURED_HEADING_VARIANCE = 0.3**2  # rad², variance from which a heading counts as unmeasured
 _UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
@@ -35,9 +37,11 @@ class Collector:
     """Collects measurements, part by part, as columns of each source."""
 
     parameters: SlipEstimatorParameters
+    watch: WatchParameters
     parts: dict[Key, list[tuple[NDArray[np.int64], FloatArray]]] = field(default_factory=dict)
     counts: dict[Key, int] = field(default_factory=dict)
     arrival_delays: dict[str, list[NDArray[np.int64]]] = field(default_factory=dict)  # ns, by topic
+    hydraulics: list[Rows] = field(default_factory=list)
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
         """Append (n,) ``records.MEASUREMENT`` of the compared kinds, with ``log_time_ns``, their arrival.
@@ -55,6 +59,11 @@ class Collector:
                     delays = source_rows["log_time_ns"] - source_rows["stamp_ns"]
                     self.arrival_delays.setdefault(sources[number], []).append(delays)
 
+    def add_hydraulics(self, rows: Rows) -> None:
+        """Append (n,) readings with the fields of ``HydraulicsFields``."""
+        if sum(map(len, self.hydraulics)) < _MOST_READINGS:
+            self.hydraulics.append(rows[["stamp_ns", "left_pressure", "right_pressure"]])
+
     def log(self) -> Log | None:
         """The log of all columns, on one clock; None without sprockets."""
         columns: Columns = {}
@@ -64,7 +73,19 @@ class Collector:
         log = log_of_columns(columns, self.parameters)
         delays = {name: np.concatenate(parts) for name, parts in self.arrival_delays.items()}
         steady = {name: float(np.median(d)) * 1e-9 for name, d in delays.items() if _is_steady(d)}
-        return None if log is None else replace(log, arrival_delays=steady)
+        return None if log is None else replace(log, arrival_delays=steady, pressures=self._pressures())
+
+    def _pressures(self) -> Pressures | None:
+        """The pressures on the clock of the log; None without hydraulics."""
+        if not self.hydraulics:
+            return None
+        rows, p = np.concatenate(self.hydraulics), self.parameters
+        start = min(int(s.min()) for (kind, _), ps in self.parts.items() if kind == SPROCKETS for s, _ in ps)
+        values = np.column_stack((rows["left_pressure"], rows["right_pressure"]))
+        is_valid = np.isfinite(values).all(axis=1)
+        t, first = np.unique((rows["stamp_ns"][is_valid] - start) * 1e-9, return_index=True)
+        relief = p.vehicle.whole().relief_pressure
+        return Pressures(HYDRAULICS, t, values[is_valid][first], self.watch, relief, p.motion)
 
 
 def _is_steady(delays_ns: NDArray[np.int64]) -> bool:

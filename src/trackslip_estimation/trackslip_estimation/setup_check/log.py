@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
+from trackslip_estimation.slip.motion import MotionParameters
+from trackslip_estimation.soil.pressure_watch import WatchParameters
 
 ComplexArray = NDArray[np.complex128]
 Array = TypeVar("Array", FloatArray, ComplexArray)
@@ -120,6 +122,18 @@ class Compass:
         return replace(self, t=self.t[rows], headings=self.headings[rows])
 
 
+@dataclass(frozen=True)
+class Pressures:
+    """Columns of the differential pressures over the travel motors."""
+
+    name: str
+    t: FloatArray  # (n,) s, ascending
+    values: FloatArray  # (n, 2) left, right, Pa
+    limits: WatchParameters
+    relief: float  # Pa, highest pressure over a motor
+    motion: MotionParameters
+
+
 Source = TypeVar("Source", Gyro, Fixes, Compass)
 
 
@@ -134,6 +148,7 @@ class Log:
     compasses: tuple[Compass, ...] = ()
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
     counts: Counts = Counts()
+    pressures: Pressures | None = None
     per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
     arrival_delays: dict[str, float] = field(default_factory=dict)  # topic → median of arrival − stamp, s
     unusable: dict[str, int] = field(default_factory=dict)  # topic without a valid reading → readings

@@ -13,6 +13,8 @@ from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion, Result, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Rejection
+from trackslip_estimation.soil.records import HYDRAULICS
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.inputs import Batch, InputStream
 from trackslip_tools.terminal_text import table, wrap_line
 
@@ -40,10 +42,13 @@ def check_bag(
     Raises:
         InputError: the bag lacks the sprockets, or is damaged.
     """
-    stream, collector = InputStream(bag, p, filters or InputFilters(), tables), Collector(p)
+    stream = InputStream(bag, p, filters or InputFilters(), {*tables, HYDRAULICS})
+    collector = Collector(p, load_soil_parameters().watch)
     reached = 0.0
     for batch in stream:
         collector.add(batch.rows, stream.sources)
+        if HYDRAULICS in batch.tables:
+            collector.add_hydraulics(batch.tables[HYDRAULICS].rows)
         watch(batch)
         advance(max(stream.duration_s - reached, 0.0))
         reached = max(reached, stream.duration_s)

@@ -16,7 +16,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import Learned
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
-from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_tools.check.bag import check_collected
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import explain_missing_estimate
@@ -51,10 +51,12 @@ def replay(
     if soil_p is not None and HYDRAULICS in stream.topics:
         soil = SoilRun(soil_p, stream.withholding, compares=compares)
     learned, start = learned_before_bag(bag, p)
-    setup = SetupCollector(p)
+    setup = SetupCollector(p, (soil_p or load_soil_parameters()).watch)
     for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
         collector.add(part)
         setup.add(part.arrivals, part.sources)
+        if HYDRAULICS in part.tables:
+            setup.add_hydraulics(part.tables[HYDRAULICS].rows)
         if soil is not None:
             published = part.results["published"]
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
