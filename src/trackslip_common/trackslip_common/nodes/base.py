@@ -108,9 +108,11 @@ class TrackslipNode(GuardedNode, Generic[P]):
             if self.active and self.inputs.accept_message(topic):
                 callback(message)
 
-        self.create_subscription(message_type, topic, when_active, subscriber_qos(topic), raw=raw)
+        subscription = self.create_subscription(
+            message_type, topic, when_active, subscriber_qos(topic), raw=raw
+        )
         if topic not in COMMANDS:
-            self.inputs.add(topic)
+            self.inputs.add(topic, subscription)
 
     def advertise(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service; failures to send are counted."""
