@@ -23,6 +23,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import reason_of
 from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
+    KINDS,
     Rejection,
     YawRateSource,
     group_name,
@@ -114,6 +115,7 @@ class MeasurementSources:
             self._subscribe(topic_class(FIX_VELOCITY), source, velocity)
         for source in nonempty_names(p.slip_sources):
             self._subscribe(topic_class("slip_seed"), source, partial(conversions.slip_fix, source=source))
+        _require_own_topics(node)
 
     @property
     def sprocket_silence_s(self) -> float | None:
@@ -172,3 +174,19 @@ class MeasurementSources:
             self._node.settings = self._node.settings.changed(parameters)
             self._node.publish_parameters()
         return Rejection.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
+
+
+def _require_own_topics(node: TrackslipNode[SlipEstimatorParameters]) -> None:
+    """Check that no two sources of one kind are one topic, by remapping: each message would count twice.
+
+    Raises:
+        InputError: two sources are one topic.
+    """
+    for kind in KINDS:
+        names: dict[str, str] = {}  # full name → source
+        for source in node.settings.sources_of_kind(kind):
+            full_name = node.resolve_topic_name(source)
+            if full_name in names:
+                text = f"'{names[full_name]}' and '{source}' are both {full_name}"
+                raise InputError(f"{node.get_name()}: {kind}: {text}; accepted: each a topic of its own")
+            names[full_name] = source
