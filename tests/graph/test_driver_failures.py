@@ -121,7 +121,7 @@ def test_reason_of_unusable_data_is_a_recent_rejection(driver, monkeypatch):
     assert "none is usable: no complete message;" in driver.health()[0].message
 
 
-def test_device_slower_than_its_driver_expects_is_said_to_be_slow(driver, monkeypatch):
+def test_device_slower_than_its_driver_expects_is_reported_as_slow(driver, monkeypatch):
     """A receiver at its factory's 1 Hz: it was running and without bytes by turns."""
     driver.port.items.put(b"1")
     wait_for(lambda: driver.received)
