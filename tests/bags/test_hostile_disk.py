@@ -46,6 +46,14 @@ def test_a_directory_with_anything_else_in_it_is_no_recording(tmp_path: Path, na
     assert not list(recorded_files(tmp_path))
 
 
+@pytest.mark.parametrize("content", [b"", bytes(5000)])
+def test_a_file_that_a_power_cut_left_blank_belongs_to_its_recording(tmp_path: Path, content: bytes) -> None:
+    """Else ``max_disk`` would not count the bag, and never remove it."""
+    path = recording(tmp_path / "bag")
+    (path / "bag_1.mcap").write_bytes(content)
+    assert {file.path.name for file in recorded_files(tmp_path)} == {"bag_0.mcap", "bag_1.mcap"}
+
+
 def test_bags_of_others_links_and_files_are_no_recordings(tmp_path: Path) -> None:
     recording(tmp_path / "imported", library="trackslip")
     (tmp_path / "file").write_text("mine", encoding="utf-8")
@@ -74,6 +82,18 @@ def test_oldest_bags_are_removed_first_except_the_open_one() -> None:
     assert removed(499) == ["other_0.mcap"]
     assert removed(300) == ["other_0.mcap", "other_1.mcap"]
     assert removed(0) == ["other_0.mcap", "other_1.mcap", "bag_0.mcap"]
+
+
+@pytest.mark.parametrize("now_s", [100.0, 1.8e9])
+def test_a_clock_that_starts_in_1970_makes_the_open_bag_no_older(now_s: float) -> None:
+    bag, other = Path("bag"), Path("other")
+    writing = bag / "bag_1.mcap"
+    files = [
+        RecordedFile(writing, 100, now_s),
+        RecordedFile(bag / "bag_0.mcap", 100, 70.0),
+        RecordedFile(other / "other_0.mcap", 100, 1.7e9),
+    ]
+    assert files_over_budget(files, 200, bag, writing, now_s) == [other / "other_0.mcap"]
 
 
 def test_bag_is_read_after_removal_of_its_oldest_file(tmp_path: Path) -> None:

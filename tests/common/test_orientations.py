@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from trackslip_common.orientations import heading_text, headings_of, is_heading_known, tilts_of
+from trackslip_common.orientations import heading_of, heading_text, headings_of, is_heading_known, tilts_of
 
 
 @pytest.mark.parametrize("stddev", [1.81, math.inf, math.nan])
@@ -35,3 +35,17 @@ def test_quaternion_of_absurd_numbers_raises_no_warning(number: float) -> None:
     rows[1] = (number, number, number, number)
     assert headings_of(rows)[0] == 0.0
     assert tilts_of(rows)[0].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "quaternion", [(0, 0, 0, 0), (0, 0, 0.7, 1.4), (0, 0, 0, math.nan), (1, 1, 1, 1e150)]
+)
+def test_quaternion_that_is_no_rotation_has_no_heading(quaternion: tuple[float, ...]) -> None:
+    """Drivers leave it at zeros where they have no orientation: that is no heading to the east."""
+    rows = np.array([quaternion, (0.0, 0.0, 0.7, 0.7)], float).view(
+        [(name, np.float64) for name in ("qx", "qy", "qz", "qw")]
+    )[:, 0]
+    headings = headings_of(rows)
+    assert math.isnan(headings[0])
+    assert headings[1] == pytest.approx(math.pi / 2.0, abs=0.03)  # two digits, typed by hand
+    np.testing.assert_array_equal(headings, [heading_of(row) for row in rows.view(np.recarray)])

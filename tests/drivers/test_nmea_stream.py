@@ -274,6 +274,15 @@ def test_rejections_are_counted_and_other_sentences_are_named():
     assert parser.kinds == ["GGA", "GSV", "VTG"]
 
 
+def test_kinds_of_sentences_are_forgotten_when_none_arrives_any_more():
+    parser = stream()
+    parser.feed(rmc(at(0)), S)
+    assert parser.kinds == ["RMC"]
+    for k in range(2, 20):  # the receiver has fallen back to another rate
+        parser.feed(b"\x00\xf8\x80" * 300, k * S)
+    assert parser.kinds == []
+
+
 @given(st.integers(1, 40))
 def test_cuts_between_reads_change_nothing(size):
     whole = b"".join(encode(at(t)) for t in EPOCHS[:3] for encode in (gga, gst, rmc, pashr))

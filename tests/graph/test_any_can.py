@@ -9,8 +9,11 @@ import time
 import pytest
 from fixtures import unseen_bus
 from fixtures.observer import last_values
+from fixtures.own_node import started
 from fixtures.plugged_devices import MULTICAST
 
+from trackslip_common.nodes.health import OK, WARN
+from trackslip_drivers.nodes.can_driver import CanDriverNode
 from trackslip_drivers.transports.can_bus import CanBus
 
 
@@ -58,3 +61,42 @@ def test_unknown_machine_is_read_by_its_dbc_and_roles(real_time, programs, obser
 
     observer.wait(lambda: reported("rate (Hz)") == pytest.approx(50.0, rel=0.3), "the rate of the sprockets")
     assert reported("frames without a role") > 10
+
+
+def of_group(sent, source):
+    """The frame in a parameter group of J1939, from a source address."""
+    return sent._replace(arbitration_id=0x18FF0A00 | source) if len(sent.data) == 4 else sent
+
+
+@pytest.mark.parametrize(
+    ("sources", "ports", "level", "words"),
+    [
+        ((0x27,), True, OK, "running"),
+        (
+            (0x27,),
+            False,
+            WARN,
+            "running; no hydraulics and no swing yet, as their frames do not come; check the bus",
+        ),
+        ((0x27, 0x28), True, WARN, "running; frame 'TravelFlow' comes from source addresses 0x27 and 0x28;"),
+    ],
+)
+def test_frames_that_lack_or_have_two_senders_are_named(
+    domain, can, tmp_path, monkeypatch, sources, ports, level, words
+):
+    """Sprockets alone are no running machine; those of two controllers would be mixed."""
+    monkeypatch.setattr("trackslip_drivers.nodes.driver.REPORT_TIME", 0.0)  # of rejections at the start
+    roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
+    dbc, roles_file = unseen_bus.write(
+        tmp_path, roles, unseen_bus.DBC.replace("BO_ 385", f"BO_ {0x98FF0AFE}")
+    )
+    with started(CanDriverNode, domain, dbc_file=str(dbc), roles_file=str(roles_file), **can) as node:
+        begin_ns = time.monotonic_ns() - 8_000_000_000
+        for sent in unseen_bus.frames(begin_ns, begin_ns + 8_000_000_000):
+            if ports or len(sent.data) == 4:
+                for source in sources:
+                    frame = of_group(sent, source)
+                    node.receive((frame.arbitration_id, frame.data), frame.stamp_ns)
+        (health, *_) = node.health()
+        assert health.message.startswith(words)
+        assert health.level == level, health.message

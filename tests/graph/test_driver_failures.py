@@ -121,6 +121,22 @@ def test_reason_of_unusable_data_is_a_recent_rejection(driver, monkeypatch):
     assert "none is usable: no complete message;" in driver.health()[0].message
 
 
+def test_device_slower_than_its_driver_expects_is_reported_as_slow(driver, monkeypatch):
+    """A receiver at its factory's 1 Hz: it was running and without bytes by turns."""
+    driver.port.items.put(b"1")
+    wait_for(lambda: driver.received)
+    driver.period, now_s = 0.1, time.monotonic()
+    for age_s in (0.1, 0.9, 1.1):
+        driver._intervals, driver._last_s = (1.0, 1.01), now_s - age_s
+        monkeypatch.setattr(time, "monotonic", lambda: now_s)
+        assert driver.health()[0].message.endswith("bytes come too seldom; " + driver.slow_advice)
+    driver._intervals = (1.0, 0.1)  # after a gap
+    driver._last_s = now_s - 0.1
+    assert driver.health()[0].message == "running"
+    driver._intervals, driver._last_s = (1.0, 1.01), now_s - 2.5
+    assert "too seldom" not in driver.health()[0].message
+
+
 def test_port_without_permission_names_the_group(driver):
     driver.link._note_error(PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
     driver.link._set_port(None)

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from fixtures.own_node import started
+from fixtures.observer import Observer
+from fixtures.own_node import own_node, started
 from fixtures.patience import wait_for
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from trackslip_common.nodes.health import ERROR
-from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.messages import make, message_class, topic_class
 from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.rate_limiter import MAX_BURST
 from trackslip_estimation.nodes.box_localizer import BoxLocalizerNode
@@ -64,6 +65,47 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
         subscription.callback(serialize_message(pose))
     assert estimator.tally.total["box_pose", "of another frame"] == 2
     assert "box_pose: of another frame" in estimator.health()[0].values
+
+
+def test_a_publisher_of_another_type_is_an_error_at_a_remapped_topic_too(
+    domain: int, observer: Observer
+) -> None:
+    """A pose without covariance, or the fixes of another driver: no message of it ever arrives."""
+    with own_node(GnssLocalizerNode, domain, "-r", "fix:=/gps/fix") as node:
+        node.start()
+        wrong = observer.node.create_publisher(message_class("geometry_msgs/msg/PoseStamped"), "/gps/fix", 1)
+        wait_for(node.inputs.health)
+        (health,) = node.inputs.health()
+        text = "fix is published as geometry_msgs/msg/PoseStamped; accepted: sensor_msgs/msg/NavSatFix"
+        assert (health.level, health.message) == (ERROR, text)
+        observer.node.destroy_publisher(wrong)
+        wait_for(lambda: not node.inputs.health())
+        publishers = [node.create_publisher(topic_class("fix"), "/gps/fix", 1) for _ in range(2)]
+        wait_for(lambda: any("several publishers of fix" in one.message for one in node.inputs.health()))
+        assert len(publishers) == 2
+
+
+@pytest.mark.parametrize(
+    ("frame", "x", "w", "reason"),
+    [
+        ("odom", 0.0, 1.0, "its frame is 'odom'"),
+        ("map", float("nan"), 1.0, "not_finite"),
+        ("map", 0.0, 0.0, "not_finite"),
+        ("map", 1e9, 1.0, "out_of_range"),
+    ],
+)
+def test_a_set_pose_that_is_not_used_is_logged(
+    estimator: SlipEstimatorNode, frame: str, x: float, w: float, reason: str, capfd: Any
+) -> None:
+    (subscription,) = (s for s in estimator.subscriptions if s.topic_name == "/slip_estimator/set_pose")
+    pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
+    pose.header.frame_id, pose.pose.pose.position.x, pose.pose.pose.orientation.w = frame, x, w
+    pose.pose.covariance[:] = np.eye(6).ravel() * 1e-4
+    subscription.callback(pose)
+    assert (
+        f"slip_estimator/set_pose: pose is not used ({reason}); accepted: frame 'map'"
+        in capfd.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

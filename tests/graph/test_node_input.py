@@ -10,11 +10,13 @@ import sys
 from typing import Any
 
 import pytest
+import yaml
+from fixtures.own_node import own_node
 from fixtures.programs import ros_arguments
 
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_common.config_files import node_defaults
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.nodes.run import run
 from trackslip_common.vehicle_files import load_vehicle, parse_vehicle
 from trackslip_drivers.nodes.can_driver import CanDriverNode
@@ -121,6 +123,33 @@ def test_parameter_file_that_is_missing_or_no_yaml(assert_refused, tmp_path):
 def test_unknown_parameter_in_a_file(assert_refused, tmp_path):
     (tmp_path / "one.yaml").write_text("watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8")
     assert_refused("watson_imu", ros_arguments("--params-file", "one.yaml"), "'nonsense'", "serial_port")
+
+
+@pytest.mark.parametrize(
+    ("sources", "remapping", "words"),
+    [
+        ("[a b]", (), ("'a b' is no name of a topic",)),
+        ("[sprockets]", (), ("'sprockets'", "JointState in this node", "PoseWithCovarianceStamped")),
+        ("[slip_estimator/pose_set]", (), ("/slip_estimator/pose_set, which this node publishes",)),
+        ("[rtk]", ("-r", "rtk:=imu/data_raw"), ("'rtk' is /imu/data_raw", "Imu in this node")),
+        ("[rtk, box_pose]", ("-r", "rtk:=box_pose"), ("'rtk' and 'box_pose' are both /box_pose",)),
+    ],
+)
+def test_topic_that_cannot_be_a_source_is_refused(
+    sources: str, remapping: tuple[str, ...], words: tuple[str, ...], domain: int
+) -> None:
+    with own_node(SlipEstimatorNode, domain, *remapping, pose_sources=yaml.safe_load(sources)) as node:
+        with pytest.raises(InputError) as refused:
+            node.start()
+        assert all(word in str(refused.value) for word in ("slip_estimator: ", "; accepted: ", *words))
+
+
+def test_joints_of_tracks_and_swing_may_come_in_one_topic(domain: int) -> None:
+    remapping = ("-r", "sprockets:=joint_states", "-r", "swing:=joint_states")
+    with own_node(SlipEstimatorNode, domain, *remapping, vehicle="pc05_cab") as node:
+        node.start()
+        inputs = [subscription.topic_name for subscription in node.subscriptions]
+        assert inputs.count("/joint_states") == 2
 
 
 def test_renamed_node_takes_its_parameters_from_a_common_file(programs, observer):

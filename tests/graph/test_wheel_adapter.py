@@ -3,9 +3,12 @@
 """A machine with its own driver: joint states of four wheels, and a base controller's speeds, live."""
 
 import pytest
+from fixtures.own_node import started
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
+
+from trackslip_drivers.nodes.wheel_adapter import WheelAdapterNode
 
 WHEELS = ["fl", "fr", "rl", "rr"]
 
@@ -47,3 +50,10 @@ def test_base_controller(programs, observer, kind):
     sprockets = send(observer, kind, "base", message, received)
     assert list(sprockets.velocity) == pytest.approx([1.5, 2.5])
     assert (sprockets.header.stamp.sec > 0) == (kind is Twist)
+
+
+def test_joints_of_other_names_are_named(domain):
+    with started(WheelAdapterNode, domain) as node:
+        node._on_message(JointState(name=["track_l", "track_r"], velocity=[1.0, 1.0]))
+        (health,) = node.health()
+        assert health.message == "all rejected: lacks a joint, as they are track_l, track_r"

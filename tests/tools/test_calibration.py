@@ -14,11 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.config_files import node_parameters, read_yaml
+from trackslip_common.message_fields import PoseFields
+from trackslip_common.message_reading import dtype_of
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
 from trackslip_estimation.slip.update import observe
+from trackslip_tools.calibration import recording
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
 from trackslip_tools.calibration.finding import Finding, make_finding
 from trackslip_tools.calibration.output import summary, text, write_parameters
@@ -343,3 +346,12 @@ def test_increments_separate_walk_and_reading_noise() -> None:
         slopes.append(fit.values[0])
     assert hits >= 88
     assert np.mean(spreads) < 3.0 * np.std(slopes)
+
+
+def test_positions_without_an_orientation_are_used_with_an_unknown_heading():
+    rows = np.zeros(2, dtype_of(PoseFields))
+    rows["qw"], rows["x"], rows["covariance"] = (0.0, 1.0), 5.0, np.eye(3) * 1e-4
+    poses = recording._poses(rows)
+    assert poses[:, (0, 2)].tolist() == [[5.0, 0.0], [5.0, 0.0]]
+    assert poses[0, 5] > 1e6
+    assert poses[1, 5] == pytest.approx(1e-4)

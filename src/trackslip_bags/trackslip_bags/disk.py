@@ -16,6 +16,7 @@ from trackslip_bags.metadata import METADATA
 from trackslip_common.atomic_files import UNFINISHED_NAME
 
 LIBRARY = "trackslip record"  # name of the writer in each file of a recording
+_BLANK_SIZE = 64  # bytes of a file that are empty or zeros if it had not reached the disk
 _IDLE_TIME = 60.0  # s since the last write, after which no running recorder uses a file
 _OBSERVATION_TIME = 60.0  # s, window of the rate
 _MIN_OBSERVATION = 10.0  # s, shortest window of a rate
@@ -44,9 +45,12 @@ def is_recording(folder: Path) -> bool:
 
 
 def _is_recorded(file: Path) -> bool:
-    """Whether a file's header names ``trackslip record`` as its writer."""
+    """Whether a file's header names ``trackslip record`` as its writer, or was lost when the power failed."""
     try:
         with file.open("rb") as stream:
+            if not stream.read(_BLANK_SIZE).strip(b"\0"):
+                return True
+            stream.seek(0)
             first = next(iter(StreamReader(stream).records), None)
     except Exception:  # noqa: BLE001 (foreign bytes can raise anything in the parser)
         return False
@@ -68,12 +72,13 @@ def files_over_budget(
 ) -> list[Path]:
     """The oldest files, to be removed so that at most ``max_size`` bytes remain.
 
-    Excluded are ``writing``, and recently changed files of other bags than ``bag``.
+    Excluded are ``writing``, and recently changed files of other bags than ``bag``. Files of other bags are
+    older than those of ``bag``, even if the computer's clock says otherwise: it may have started in 1970.
     """
     surplus = sum(file.size for file in files) - max_size
     removed: list[Path] = []
-    for file in sorted(files, key=lambda file: (file.changed_s, file.path)):
-        is_idle = file.path.parent == bag or now_s - file.changed_s > _IDLE_TIME
+    for file in sorted(files, key=lambda file: (file.path.parent == bag, file.changed_s, file.path)):
+        is_idle = file.path.parent == bag or abs(now_s - file.changed_s) > _IDLE_TIME
         if surplus > 0 and file.path != writing and is_idle:
             removed.append(file.path)
             surplus -= file.size

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
 
+_UNIT = 0.1  # by which the norm of a quaternion, squared, may differ from 1; some are typed by hand
 UNKNOWN_STDDEV = 1.8  # rad; a uniform heading has π/√3 = 1.81
 
 
@@ -27,7 +28,13 @@ def heading_text(heading: float, variance: float, sigmas: float = 1.0) -> str:
 
 
 def heading_of(pose: Any) -> float:
-    """Rotation about z, rad in (−π, π], of an object with the quaternion ``qx qy qz qw``."""
+    """Rotation about z, rad in (−π, π], of an object with the quaternion ``qx qy qz qw``.
+
+    nan if that is no rotation: drivers leave it at zeros where they have no orientation.
+    """
+    norm = pose.qx * pose.qx + pose.qy * pose.qy + pose.qz * pose.qz + pose.qw * pose.qw
+    if not abs(norm - 1.0) < _UNIT:
+        return math.nan
     sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
     return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
 
@@ -54,7 +61,8 @@ def headings_of(rows: NDArray[np.void]) -> FloatArray:
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
     with np.errstate(over="ignore", invalid="ignore"):  # as with Python's floats
         sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
-    return _elementwise(math.atan2, sines.tolist(), cosines.tolist())
+        is_rotation = np.abs(x * x + y * y + z * z + w * w - 1.0) < _UNIT
+    return np.where(is_rotation, _elementwise(math.atan2, sines.tolist(), cosines.tolist()), math.nan)
 
 
 def poses_of(rows: NDArray[np.void]) -> FloatArray:

@@ -20,6 +20,7 @@ from trackslip_estimation.slip.measurements import (
     SET_POSE,
     UNFREEZE,
     Command,
+    Fault,
     Measurement,
     Outcome,
     PoseFix,
@@ -220,6 +221,17 @@ def test_commands_are_no_source_of_measurements(name: str) -> None:
     watch.add(Report(name, 0, Outcome.ACCEPTED))
     assert watch.lost_sources(EPOCH_NS + S // 2) == {}
     assert watch.lost_sources(EPOCH_NS + 4 * S) == {"box_pose": 4.0, "imu/data_raw": 4.0}
+
+
+def test_a_lost_source_is_named_with_why_its_latest_message_was_rejected() -> None:
+    watch = SourceWatch({"box_pose": S, "imu/data_raw": S})
+    watch.add(processed("box_pose", 1.0))
+    watch.add(replace(processed("box_pose", 3.0), outcome=Outcome.INVALID, fault=Fault.NOT_FINITE))
+    watch.add_rejection("imu/data_raw", "of another frame")
+    lost = "box_pose for 7.0 s (not_finite), imu/data_raw for 7.0 s (of another frame)"
+    assert watch.lost_sources_text(8 * S) == lost
+    watch.add(processed("box_pose", 4.0))
+    assert watch.lost_sources_text(9 * S).startswith("box_pose for 5.0 s, ")
 
 
 def test_a_restart_clears_the_watch() -> None:

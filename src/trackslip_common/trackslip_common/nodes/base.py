@@ -17,7 +17,7 @@ from trackslip_common.nodes import parameters as node_parameters
 from trackslip_common.nodes.guarded import GuardedNode
 from trackslip_common.nodes.health import OK, WARN, Health, StateLog, console_logger, diagnostics
 from trackslip_common.nodes.inputs import Inputs
-from trackslip_common.nodes.messages import packed_topic
+from trackslip_common.nodes.messages import packed_topic, type_name_of
 from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
@@ -108,12 +108,36 @@ class TrackslipNode(GuardedNode, Generic[P]):
             if self.active and self.inputs.accept_message(topic):
                 callback(message)
 
-        self.create_subscription(message_type, topic, when_active, subscriber_qos(topic), raw=raw)
+        full_name = self._checked_name(message_type, topic)
+        if any(output.topic_name == full_name for output in self._advertised):
+            text = f"'{topic}' is {full_name}, which this node publishes; accepted: a topic of another node"
+            raise InputError(f"{self.get_name()}: {text}")
+        subscription = self.create_subscription(
+            message_type, topic, when_active, subscriber_qos(topic), raw=raw
+        )
         if topic not in COMMANDS:
-            self.inputs.add(topic)
+            self.inputs.add(topic, subscription)
+
+    def _checked_name(self, message_type: type, topic: str) -> str:
+        """The full name of a topic.
+
+        Raises:
+            InputError: it is no name of a topic, or one with another type.
+        """
+        try:
+            full_name: str = self.resolve_topic_name(topic)
+        except (RuntimeError, ValueError):
+            text = f"'{topic}' is no name of a topic; accepted: letters, digits, '_', and '/' between words"
+            raise InputError(f"{self.get_name()}: {text}") from None
+        for one in (*self._advertised, *self.subscriptions):
+            if one.topic_name == full_name and one.msg_type is not message_type:
+                text = f"'{topic}' is {full_name}, which is a {type_name_of(one.msg_type)} in this node"
+                raise InputError(f"{self.get_name()}: {text}; accepted: a {type_name_of(message_type)}")
+        return full_name
 
     def advertise(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service; failures to send are counted."""
+        self._checked_name(message_type, topic)
         qos = publisher_qos(topic.removeprefix("/"))
         publisher = self.create_lifecycle_publisher(message_type, topic, qos)
         self._advertised.append(publisher)

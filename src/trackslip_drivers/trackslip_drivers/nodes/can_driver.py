@@ -3,9 +3,10 @@
 """``can_driver``: publishes sprockets, hydraulics and swing from the CAN bus, by the roles file."""
 
 import sys
+from dataclasses import replace
 from typing import Any
 
-from trackslip_common.nodes.health import Health
+from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.run import run
@@ -21,6 +22,7 @@ from trackslip_drivers.stamping import StampEvent
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
 _BODY_FRAME = "base_link"
+_PATIENCE = 5.0  # s of samples, after which each frame with a role should have come
 _MESSAGES = {
     SprocketSample: ("sprockets", conversions.blank_joint_state, conversions.fill_joint_state),
     HydraulicsSample: ("hydraulics", conversions.blank_track_hydraulics, conversions.fill_track_hydraulics),
@@ -49,6 +51,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         self._options = self.settings.bus_options()
         self._can = ExcavatorCan(self.settings, load_frames(self.settings), self.tally)
         self._bus_state = BusState.ACTIVE
+        self._received_kinds: set[type[Sample]] = set()
         self._outputs: dict[type[Sample], tuple[PackedOutput, Any]] = {}
         frame_id = self.settings.frame_prefix + _BODY_FRAME
         for kind in self._can.kinds:
@@ -82,6 +85,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             return
         sample: Any
         for sample in self._can.receive(*data, steady_ns):
+            self._received_kinds.add(type(sample))
             output, fill = self._outputs[type(sample)]
             fill(output.message, self.restamp(sample))
             output.publish()
@@ -99,10 +103,22 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
             entries[0].values["frames without a role"] = self._can.decoder.frames_without_role
+            ambiguous = self._can.decoder.ambiguous_source_message()
             entries[0].values["another source address"] = (
-                self._can.decoder.other_source_message() or self._can.decoder.ambiguous_source_message()
+                self._can.decoder.other_source_message() or ambiguous
             )
+            problem = ambiguous or self._missing_topics_message()
+            if problem and entries[0].level in (OK, WARN):
+                entries[0] = replace(entries[0], level=WARN, message=f"running; {problem}")
         return entries
+
+    def _missing_topics_message(self) -> str:
+        """Message about topics with roles whose frames have not come, while others do; empty if all have."""
+        missing = [_MESSAGES[kind][0] for kind in self._outputs.keys() - self._received_kinds]
+        if not missing or self._published * self.period < _PATIENCE:
+            return ""
+        remedy = self._can.decoder.other_source_message() or "check the bus, and the roles file"
+        return f"no {' and no '.join(sorted(missing))} yet, as their frames do not come; {remedy}"
 
 
 def main() -> None:

@@ -33,6 +33,8 @@ _CHECK_PERIOD = 0.1  # s between checks for a change of the link's condition
 _OPENING_TIME = 2.0  # s after opening in which a port need not deliver
 REPORT_TIME = 5.0  # s for which a rejection is reported
 _SILENCE_LIMIT = 5.0  # s without data, after which ``unusable_data_message`` is not reported
+_SLOW_SHARE = 0.8  # of the limit of silence: messages that come at longer intervals come too slowly
+_LONGEST_INTERVAL = 10.0  # s between messages of a device that sends at all
 _SETTLING_TIME = 1.0  # s beyond the limit in which unusable data are only a warning
 _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
@@ -64,6 +66,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     device = "sensor"  # name for users
     data_name = "bytes"
     advice = "check power and port"  # if no data arrive
+    slow_advice = "set the rate of the device and of its driver alike"  # if data arrive slowly
     transient_reasons: Mapping[str, str] = MappingProxyType({})  # no fault of the link: reason → remedy
     period = 1.0  # s between messages in normal operation
     silence = math.inf  # s without a byte or frame after which the port is reopened
@@ -74,6 +77,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         self._rate = 0.0
         self._rate_start = (time.monotonic(), 0)
         self._last_s = -math.inf
+        self._intervals = (math.inf, math.inf)  # s, between the latest three messages
         self._link: Link[D] | None = None
         self._reported: bytes | None = None  # level
         self._rejected = ("", -math.inf, "")  # most frequent reason, its time (steady, s) and date
@@ -139,7 +143,8 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     def count_message(self) -> None:
         """Count a published message."""
         self._published += 1
-        self._last_s = time.monotonic()
+        before_s, self._last_s = self._last_s, time.monotonic()
+        self._intervals = self._intervals[1], self._last_s - before_s
 
     def health(self) -> list[Health]:
         """Connection, rate, age, rejections."""
@@ -193,6 +198,9 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             return ERROR, f"{where}: not connected ({state.last_error}); {remedy}"
         limit_s = _STALE_PERIODS * self.period
         reason, rejected_s, _ = self._rejected
+        interval_s = min(self._intervals)  # one long interval may be a gap
+        if _SLOW_SHARE * limit_s < interval_s < _LONGEST_INTERVAL and now_s - self._last_s < 2.0 * interval_s:
+            return WARN, f"{where}: {self.data_name} come too seldom; {self.slow_advice}"
         is_event, is_recent = reason.endswith(_STAMP_EVENTS), now_s - rejected_s < REPORT_TIME
         if now_s - self._last_s <= limit_s:
             fault = reason if is_event else f"some is rejected: {reason}"

@@ -36,6 +36,7 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
     """Receives bytes; publishes ``fix``, ``fix_velocity`` and ``heading``."""
 
     device = "GNSS receiver"
+    slow_advice = "set the receiver to rate, or rate to that of the receiver"
     transient_reasons = MappingProxyType(
         dict.fromkeys(
             ("no fix", "receiver's warning", "dead reckoning"), "check that the antenna sees the sky"

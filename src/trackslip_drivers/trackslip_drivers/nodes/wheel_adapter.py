@@ -5,6 +5,7 @@
 import sys
 from typing import Any
 
+from trackslip_common.errors import printable
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
@@ -39,15 +40,19 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
         values = {"received": self._received, "published": self._published, **self.tally.values()}
         if self._received == received:
             return [Health(WARN, f"nothing on {self.settings.topic}", values)]
+        new_rejections = self.tally.new_counts()
         if self._published == published:
-            return [Health(WARN, "all rejected", values)]
+            reasons = ", ".join(map(self.tally.detail_or_reason, new_rejections))
+            return [Health(WARN, f"all rejected: {reasons}", values)]
         return [Health(OK, "running", values)]
 
     def _on_message(self, message: Any) -> None:
         self._received += 1
         sample = self._sample(message)
         if isinstance(sample, Rejection):
-            self.tally.add(self.settings.topic, sample)
+            has_joints = sample is Rejection.MISSING_JOINT
+            detail = f"{sample.value}, as they are {printable(', '.join(message.name))}" if has_joints else ""
+            self.tally.add(self.settings.topic, sample, detail=detail)
             return
         self._published += 1
         conversions.fill_joint_state(self._sprockets.message, sample)

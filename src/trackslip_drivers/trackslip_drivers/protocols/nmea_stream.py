@@ -112,7 +112,7 @@ class NmeaStream:
     @property
     def kinds(self) -> list[str]:
         """Kinds of complete sentences received recently."""
-        latest_ns = max(self._kinds.values(), default=0)
+        latest_ns = self._burst_end_ns or 0
         return sorted(kind for kind, ended_ns in self._kinds.items() if latest_ns - ended_ns <= _RECENT_NS)
 
     def reset(self) -> None:

@@ -56,7 +56,6 @@ def estimator_health(
         return Health(WARN, f"{diverged}running again", values)
     if explanations:
         return Health(WARN, explanations, values)
-    if lost := watch.lost_sources(now_ns):
-        sources = ", ".join(f"{source} for {seconds:.1f} s" for source, seconds in lost.items())
-        return Health(WARN, f"nothing accepted of {sources}", values)
+    if lost := watch.lost_sources_text(now_ns):
+        return Health(WARN, f"nothing accepted of {lost}", values)
     return Health(OK, "running", values)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from rclpy.node import Node
 
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, printable
 from trackslip_common.message_fields import FrameFields
 from trackslip_common.message_reading import read
 from trackslip_common.nodes.base import TrackslipNode
@@ -20,8 +20,10 @@ from trackslip_common.topics import FIX_VELOCITY
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measurement, Outcome, Report
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.source_watch import reason_of
 from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
+    KINDS,
     Rejection,
     YawRateSource,
     group_name,
@@ -32,6 +34,7 @@ from trackslip_estimation.slip.static_frames import StaticFrames
 Convert: TypeAlias = Callable[[Any], Measurement | Rejection]
 _DEPTH = 100  # several publishers latch one message each
 _UNUSABLE_STAMPS = (Outcome.TOO_LATE, Outcome.DUPLICATE, Outcome.AHEAD)
+_LOG_PERIOD = 1.0  # s between lines about poses that were not used
 _ANGLES = ("mounting_roll", "mounting_pitch", "mounting_yaw")
 
 
@@ -77,13 +80,16 @@ class StaticMountings:
 
 
 class MeasurementSources:
-    """Passes each measurement to ``process``; the node counts those rejected before."""
+    """Passes each measurement to ``process``, and each message that is none to ``reject``."""
 
     def __init__(
-        self, node: TrackslipNode[SlipEstimatorParameters], process: Callable[[Measurement], Report]
+        self,
+        node: TrackslipNode[SlipEstimatorParameters],
+        process: Callable[[Measurement], Report],
+        reject: Callable[[str, Rejection], None],
     ) -> None:
         p = node.settings
-        self._node, self._process = node, process
+        self._node, self._process, self._reject = node, process, reject
         self._used_s: float | None = None  # steady: of the first or the last usable sprocket sample
         self.sprocket_fault = ""  # of the last sprocket sample, with the remedy; empty if it is usable
         self._frames = p.frames_of_sources()
@@ -109,6 +115,7 @@ class MeasurementSources:
             self._subscribe(topic_class(FIX_VELOCITY), source, velocity)
         for source in nonempty_names(p.slip_sources):
             self._subscribe(topic_class("slip_seed"), source, partial(conversions.slip_fix, source=source))
+        _require_own_topics(node)
 
     @property
     def sprocket_silence_s(self) -> float | None:
@@ -122,7 +129,7 @@ class MeasurementSources:
             is_in_frame = self._frames.get(source) in (None, read(FrameFields, message).frame)
             result = convert(message) if is_in_frame else Rejection.OTHER_FRAME
             if isinstance(result, Rejection):
-                self._node.tally.add(source, result)
+                self._reject(source, result)
             else:
                 self._process(result)
 
@@ -131,7 +138,7 @@ class MeasurementSources:
 
     def _on_sprockets(self, message: Any) -> None:
         report = self._process(conversions.sprockets(message, "sprockets"))
-        reason = (report.fault or report.outcome).name.lower()
+        reason = reason_of(report)
         if report.outcome in _UNUSABLE_STAMPS:
             self.sprocket_fault = f"{reason}: check the stamps of their publisher"
         elif report.outcome is Outcome.INVALID:
@@ -142,9 +149,23 @@ class MeasurementSources:
             self._used_s = time.monotonic()
 
     def _on_set_pose(self, message: Any) -> None:
-        """Republish the pose, then use it: a recorder may not have discovered its publisher in time."""
-        self._pose_set.publish(message)
-        self._process(conversions.pose_fix(message, SET_POSE))
+        """Use a pose in the frame of the map, which a message without a frame is in too.
+
+        It is republished before: a recorder may not have discovered its publisher in time. Its sender gets
+        no answer, so a pose that is not used is logged.
+        """
+        frame, map_frame = read(FrameFields, message).frame, self._node.settings.map_frame
+        if frame.removeprefix("/") in ("", map_frame):
+            self._pose_set.publish(message)
+            report = self._process(conversions.pose_fix(message, SET_POSE))
+            fault = reason_of(report) if report.outcome.is_rejected else ""
+        else:
+            self._reject(SET_POSE, Rejection.OTHER_FRAME)
+            fault = f"its frame is '{printable(frame)}'"
+        if fault:
+            accepted = f"accepted: frame '{map_frame}' or none, finite numbers, variances of x, y and heading"
+            text = f"{SET_POSE}: pose is not used ({fault}); {accepted}"
+            self._node.get_logger().warning(text, throttle_duration_sec=_LOG_PERIOD)
 
     def _yaw_rate(self, message: Any, source: str) -> Measurement | Rejection:
         """Return the yaw rate of an IMU; publish its mounting once that is determined."""
@@ -153,3 +174,19 @@ class MeasurementSources:
             self._node.settings = self._node.settings.changed(parameters)
             self._node.publish_parameters()
         return Rejection.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
+
+
+def _require_own_topics(node: TrackslipNode[SlipEstimatorParameters]) -> None:
+    """Check that no two sources of one kind are one topic, by remapping: each message would count twice.
+
+    Raises:
+        InputError: two sources are one topic.
+    """
+    for kind in KINDS:
+        names: dict[str, str] = {}  # full name → source
+        for source in node.settings.sources_of_kind(kind):
+            full_name = node.resolve_topic_name(source)
+            if full_name in names:
+                text = f"'{names[full_name]}' and '{source}' are both {full_name}"
+                raise InputError(f"{node.get_name()}: {kind}: {text}; accepted: each a topic of its own")
+            names[full_name] = source

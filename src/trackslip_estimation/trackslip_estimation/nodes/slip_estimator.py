@@ -35,6 +35,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
+from trackslip_estimation.slip.sources import Rejection
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
@@ -61,7 +62,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._reporter = self.advertise(topic_class("measurement_reports"), "measurement_reports")
         self._reports: dict[str, PackedOutput] = {}  # by source, whose name is a string of the message
         self._outputs = EstimateOutputs(self)
-        self._sources = MeasurementSources(self, self._process)
+        self._sources = MeasurementSources(self, self._process, self._reject)
 
     def activate(self) -> None:
         """Publish the parameters of the vehicle."""
@@ -132,6 +133,11 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             if reason is not None:
                 self.tally.add(report.source, reason)
         return report
+
+    def _reject(self, source: str, reason: Rejection) -> None:
+        """Count a message that never becomes a measurement."""
+        self.tally.add(source, reason)
+        self._watch.add_rejection(source, reason.value)
 
     def _publish_report(self, report: Report) -> None:
         if report.source not in self._reports:

@@ -15,6 +15,11 @@ from trackslip_estimation.slip.silence import SilenceMonitor
 _WINDOW_NS = 10_000_000_000
 
 
+def reason_of(report: Report) -> str:
+    """Why a measurement was rejected, as it is counted."""
+    return (report.fault or report.outcome).name.lower()
+
+
 class SourceWatch:
     """Collects the reports of all sources; times are stamps."""
 
@@ -33,6 +38,11 @@ class SourceWatch:
         self._used_ns: dict[str, int] = {}
         self._silences: dict[str, SilenceMonitor] = defaultdict(SilenceMonitor)
         self._innovations: dict[str, deque[Report]] = defaultdict(deque)
+        self._reasons: dict[str, str] = {}  # source → why its latest message was rejected
+
+    def add_rejection(self, source: str, reason: str) -> None:
+        """Add why a message of a source never became a measurement."""
+        self._reasons[source] = reason
 
     def add(self, report: Report) -> None:
         """Add a report."""
@@ -44,7 +54,9 @@ class SourceWatch:
             return
         self._silences[report.source].add(report.stamp_ns)
         if report.outcome.is_rejected:
+            self._reasons[report.source] = reason_of(report)
             return
+        self._reasons.pop(report.source, None)
         for source in self._timeouts_ns:  # timeouts count from the first report
             self._used_ns.setdefault(source, report.stamp_ns)
         self._used_ns[report.source] = max(report.stamp_ns, self._used_ns.get(report.source, 0))
@@ -60,6 +72,12 @@ class SourceWatch:
         since = {source: now_ns - self._used_ns.get(source, now_ns) for source in self._timeouts_ns}
         limits = {source: self._silences[source].limit(ns) for source, ns in self._timeouts_ns.items()}
         return {source: ns * 1e-9 for source, ns in since.items() if ns > limits[source]}
+
+    def lost_sources_text(self, now_ns: int) -> str:
+        """The lost sources, each with why its latest message was rejected; empty if none is lost."""
+        lost = self.lost_sources(now_ns).items()
+        reasons = {source: f" ({reason})" for source, reason in self._reasons.items()}
+        return ", ".join(f"{source} for {s:.1f} s{reasons.get(source, '')}" for source, s in lost)
 
     def innovations(self, now_ns: int) -> dict[str, str]:
         """Source → text: mean d² over the last ``_WINDOW_NS``, and its bounds if consistent."""

@@ -243,8 +243,11 @@ def _sprockets(rows: Rows) -> FloatArray:
 
 
 def _poses(rows: Rows) -> FloatArray:
-    """(n, 6) x, y, heading and their variances."""
-    return np.column_stack((poses_of(rows), np.diagonal(rows["covariance"], axis1=1, axis2=2)))
+    """(n, 6) x, y, heading and their variances; that of a missing heading is the largest."""
+    poses, variances = poses_of(rows), np.diagonal(rows["covariance"], axis1=1, axis2=2).copy()
+    has_none = np.isnan(poses[:, 2])
+    poses[has_none, 2], variances[has_none, 2] = 0.0, _LARGEST_VARIANCE
+    return np.column_stack((poses, variances))
 
 
 def _sprocket_angles(readings: Series) -> Series:
