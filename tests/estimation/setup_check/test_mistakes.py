@@ -648,6 +648,11 @@ def test_a_gyro_that_is_late_by_seconds_is_named(late: float) -> None:
     assert f"time_offset: {-late:.1f}" in cause.remedy
 
 
+@pytest.mark.parametrize(("stddev", "expected"), [(0.02, set()), (0.004, set()), (1e-6, {"position_noise"})])
+def test_places_that_scatter_far_more_than_they_state_are_named(stddev: float, expected: set[str]) -> None:
+    assert names_of(with_stddev(drive(), stddev)) == expected
+
+
 @pytest.mark.parametrize("has_gyro", [True, False])
 @pytest.mark.parametrize(("axis", "name"), [(0, "x"), (1, "y")])
 def test_a_coordinate_that_never_changes_is_named(axis: int, name: str, *, has_gyro: bool) -> None:

@@ -80,6 +80,7 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
         log, causes = with_common_clock(log)
         findings.add(causes)
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
+    findings.add(places.judge_scatter(log.fixes, log.tracks))
     fixes, causes = places.drop_held(log.fixes)
     findings.add(causes)
     log = replace(log, fixes=tuple(with_measured_noise(source) for source in fixes))
@@ -107,8 +108,9 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     comparison = (
         sides.TracksResult(None) if gyro_result.is_contradicted else sides.compare_tracks(drive, unit)
     )
-    if comparison.has_wrong_frame:  # which explains the distance from the map
+    if comparison.has_wrong_frame:  # which explains the distance from the map, and the scatter
         findings.withdraw("datum")
+        findings.withdraw("position_noise")
     findings.add(comparison.findings)
     if comparison.drive is None:
         return summary_lines(log, drive, unit)
