@@ -328,7 +328,7 @@ def test_numbers_of_numpy_are_numbers(short_result: ts.Result, tmp_path: Path) -
         ({"sources": {**SOURCES, "fixes": None}}, "sources: fixes: None"),
         ({"sources": {**SOURCES, "imu/data_raw": {"angular_velocity_z": ("gz",)}}}, r"_z: \('gz',\)"),
         ({"parameters": ["max_gap"]}, "parameters: "),
-        ({"sources": {**SOURCES, 3: SOURCES["fixes"]}}, "sources: 3 is not accepted; accepted: text"),
+        ({"sources": {3: SOURCES["fixes"]}}, "sources: 3 is not accepted; accepted: text"),
         ({"sources": {**SOURCES, "fix": {"x": ("x", "m"), "y": ("y", "m")}}}, "sources: fix: .* role: pose"),
         ({"parameters": {"max_gap": object()}}, "sources: <object"),
     ],
