@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates from a data frame equal those of an import and a replay; errors name the columns."""
 
+import multiprocessing
 from datetime import datetime, timedelta, timezone
 from decimal import Decimal
 from pathlib import Path
@@ -97,6 +98,11 @@ def test_tracks_alone_are_dead_reckoned() -> None:
         ({"imu/data_raw": {"angular_velocity_z": ("gyro", "deg/s")}}, "frame: no column 'gyro'"),
         ({"imu/data_raw": {"angular_velocity_z": ("gz", "deg")}}, "unit"),
         ({"imu/data_raw": {"angular_z": ("gz", "deg/s")}}, "angular_z"),
+        ({"imu/data_raw": {"angular_velocity_z": ([3, "gz"], "deg/s")}}, "3 is not accepted; accepted: text"),
+        (
+            {"imu/data_raw": {"angular_velocity_z": {"column": "gz", "unit": "deg/s", "scale": 0}}},
+            "angular_velocity_z.scale: 0 is out of range",
+        ),
         ({"fixes": {"role": "pose", "x": ("x", "m"), "y": ("y", "m")}}, "fixes"),
     ],
 )
@@ -104,6 +110,42 @@ def test_bad_sources_are_named(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ts.InputError, match=sentence) as caught:
         estimator(**change).run(drive(3.0))
     assert "/tmp" not in str(caught.value)
+
+
+def test_every_source_is_used() -> None:
+    columns = {**drive(SHORT), "speed": np.full(round(SHORT * RATE), SPEED)}
+    radar = {"role": "velocity", "forward": ("speed", "m/s")}
+    assert estimator(radar=radar).run(columns).summary["messages"]["radar"] == len(columns["t"])
+
+
+def test_pose_source_may_be_left_out_by_a_parameter() -> None:
+    found = ts.Estimator(MACHINE, SOURCES, parameters={"pose_sources": [""]}).run(drive(SHORT))
+    assert "fixes" not in found.summary["messages"]
+
+
+def test_rows_of_a_negative_standard_deviation_are_left_out() -> None:
+    columns = drive(SHORT)
+    columns["sd"] = np.where(columns["t"] < 5.0, 0.02, -1.0)
+    stddev = {axis: {"column": "sd", "unit": "m"} for axis in "xy"}
+    found = estimator(fixes={**SOURCES["fixes"], "stddev": stddev}).run(columns)
+    assert any(note.startswith("left out: 5 of /fixes") for note in found.notes)
+
+
+def _run(results: "multiprocessing.Queue[str]") -> None:
+    try:
+        results.put(str(estimator().run(drive(3.0))))
+    except ts.InputError as error:
+        results.put(str(error))
+
+
+def test_fork_of_a_process_that_has_estimated_is_refused(short_result: ts.Result) -> None:
+    """Threads of polars are not in a fork: it would wait for them for ever."""
+    context = multiprocessing.get_context("fork")
+    results = context.Queue()
+    process = context.Process(target=_run, args=(results,))
+    process.start()
+    assert "run: this process was forked" in results.get(timeout=60.0)
+    process.join()
 
 
 def test_setup_of_a_frame_is_checked() -> None:
@@ -155,6 +197,8 @@ def mixed(columns: dict[str, np.ndarray]) -> dict[Any, Any]:
 
 
 FRAMES: dict[str, Any] = {
+    "long numbers": lambda columns: {name: column.astype(np.longdouble) for name, column in columns.items()},
+    "named 3 and '3'": lambda columns: {**columns, 3: 0.0 * columns["gz"]},
     "polars": pl.DataFrame,
     "lazy": lambda columns: pl.DataFrame(columns).lazy(),
     "mixed": mixed,
@@ -172,6 +216,7 @@ def test_every_kind_of_frame_and_cell_gives_the_same_estimates(short_result: ts.
 
 DATES: dict[str, Any] = {
     "numpy, ms": lambda ms: ms.astype("datetime64[ms]"),
+    "numpy, big-endian": lambda ms: ms.astype("datetime64[ms]").astype(">M8[ms]"),
     "numpy, us": lambda ms: ms.astype("datetime64[ms]").astype("datetime64[us]"),
     "Python, with a zone": lambda ms: [
         datetime.fromtimestamp(one * 1e-3, timezone(timedelta(hours=2))) for one in ms.tolist()
@@ -216,7 +261,15 @@ def test_unusable_columns_are_named(change: dict[str, Any], sentence: str) -> No
         estimator().run({**drive(3.0), **change})
 
 
-@pytest.mark.parametrize("frame", [None, "log.csv", np.zeros((3, 3)), {name: [] for name in drive(3.0)}])
+class Series:
+    """As a series of pandas: no table."""
+
+    def reset_index(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    "frame", [None, "log.csv", Series(), np.zeros((3, 3)), {name: [] for name in drive(3.0)}]
+)
 def test_argument_that_is_no_frame_is_refused_by_name(frame: Any) -> None:
     with pytest.raises(ts.InputError, match=r"^frame: .*accepted"):
         estimator().run(frame)
@@ -275,6 +328,8 @@ def test_numbers_of_numpy_are_numbers(short_result: ts.Result, tmp_path: Path) -
         ({"sources": {**SOURCES, "fixes": None}}, "sources: fixes: None"),
         ({"sources": {**SOURCES, "imu/data_raw": {"angular_velocity_z": ("gz",)}}}, r"_z: \('gz',\)"),
         ({"parameters": ["max_gap"]}, "parameters: "),
+        ({"sources": {3: SOURCES["fixes"]}}, "sources: 3 is not accepted; accepted: text"),
+        ({"sources": {**SOURCES, "fix": {"x": ("x", "m"), "y": ("y", "m")}}}, "sources: fix: .* role: pose"),
         ({"parameters": {"max_gap": object()}}, "sources: <object"),
     ],
 )

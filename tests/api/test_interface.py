@@ -4,6 +4,7 @@
 
 import json
 import math
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,23 @@ def test_load_lists_topics_and_reads_columns() -> None:
         log.columns("/vehicle")
 
 
+def test_log_can_be_sent_to_another_process() -> None:
+    assert pickle.loads(pickle.dumps(ts.load(ts.example()))).topics == ts.load(ts.example()).topics
+
+
+@pytest.mark.parametrize("topic", [None, 3, ["sprockets"]])
+def test_topic_that_is_no_text_is_named(topic: Any) -> None:
+    with pytest.raises(ts.InputError, match=r"topic: .* is refused; accepted: text"):
+        ts.load(ts.example()).columns(topic)
+
+
+def test_long_argument_is_named_by_its_type(result: ts.Result) -> None:
+    arguments: list[Any] = [result, {name: [0.0] * 30 for name in "xyz"}]
+    for argument, kind in zip(arguments, ("Result", "dict"), strict=True):
+        with pytest.raises(ts.InputError, match=f"bag: a {kind} is refused; accepted: text"):
+            ts.replay(argument)
+
+
 def test_a_missing_bag_is_named() -> None:
     with pytest.raises(ts.InputError, match="bag 'nowhere' not found"):
         ts.load("nowhere")
@@ -164,6 +182,20 @@ def test_geojson_has_the_path_in_degrees(result: ts.Result, tmp_path: Path) -> N
     scale = math.cos(math.radians(DATUM[0]))
     assert np.allclose((longitude - DATUM[1]) * metres * scale, east, atol=0.1)
     assert len(feature["properties"]["coordTimes"]) == len(east)
+
+
+@pytest.mark.parametrize("path", [None, 3, b"path.csv"])
+def test_path_that_is_no_text_is_named(result: ts.Result, path: Any) -> None:
+    with pytest.raises(ts.InputError, match=r"save: .* is refused; accepted: text"):
+        result.estimates.save(path)
+
+
+def test_datum_may_be_an_array(result: ts.Result, tmp_path: Path) -> None:
+    of_tuple, of_array = (
+        result.estimates.save(tmp_path / f"{kind.__name__}.geojson", datum=kind(DATUM))
+        for kind in (tuple, np.array)
+    )
+    assert of_tuple.read_text(encoding="utf-8") == of_array.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("datum", [(52.0, 13.0), (200.0, 13.0, 40.0), (math.nan, 13.0, 40.0), "52, 13, 40"])

@@ -132,19 +132,6 @@ def test_a_topic_keeps_its_type(tmp_path: Path) -> None:
             bag.write("/a", IMU, imu(0), 0)
 
 
-def interrupted(path: Path) -> None:
-    with BagWriter(path) as bag:
-        bag.write("/imu", IMU, imu(0), 0)
-        raise KeyboardInterrupt
-
-
-def test_an_exception_leaves_a_whole_bag(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        interrupted(tmp_path / "bag")
-    with open_bag(tmp_path / "bag") as opened:
-        assert (opened.damage, opened.message_count) == ("", 1)
-
-
 def test_flush_saves_what_is_there(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "bag")
     bag.write("/imu", IMU, imu(0), 0)
@@ -184,3 +171,16 @@ def test_a_killed_recorder_loses_less_than_a_chunk(tmp_path: Path) -> None:
         assert (count - len(times)) * 10 * MS <= CHUNK_SPAN_NS
         last = next(iter(bag.messages(start_ns=times[-1])))
         assert bag.deserialize(last.raw, last.type_name).header.frame_id == "imu_link"
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, InputError])
+def test_bag_of_an_interrupted_work_is_removed(tmp_path: Path, error: type[BaseException]) -> None:
+    def work() -> None:
+        with BagWriter(tmp_path / "bag") as bag:
+            bag.write("/a", TEXT, text("one"), 2000)
+            bag.flush()
+            raise error
+
+    with pytest.raises(error):
+        work()
+    assert not (tmp_path / "bag").exists()

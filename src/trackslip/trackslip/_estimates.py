@@ -17,6 +17,7 @@ import polars as pl
 import pymap3d
 from numpy.typing import NDArray
 
+from trackslip._values import as_text
 from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.atomic_files import write_atomically
 from trackslip_common.errors import InputError
@@ -96,10 +97,10 @@ class Estimates:
         Raises:
             InputError: the extension is another, the file cannot be written, or there is no datum.
         """
-        path = Path(path)
+        path = Path(as_text("save", path))
         if path.suffix not in _WRITERS:
             raise InputError(f"save: '{path}' has another ending; accepted: {', '.join(_WRITERS)}")
-        text = _WRITERS[path.suffix](self, datum or self.datum)
+        text = _WRITERS[path.suffix](self, self.datum if datum is None else datum)
         try:
             write_atomically(path, text)
         except OSError as error:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the estimators over columns, by an import and a replay in a temporary directory."""
 
+import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import announce_compilation
 from trackslip_common.errors import InputError, collect_output, suggestion
 from trackslip_common.parameters import flatten
-from trackslip_common.yaml_tree import section
+from trackslip_common.yaml_tree import section, text
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.cli.replay_options import ReplayOptions
 
@@ -32,8 +33,12 @@ _SOURCE_LISTS = {
     "imu": "yaw_rate_sources",
     "heading": "heading_sources",
     "odometry": "odometry_sources",
+    "velocity": "velocity_sources",
+    "swing": "swing_sources",
 }
+_process: int | None = None  # the process that was first to run an estimator
 _HEADING_FIELDS = {"yaw", "heading", *QUATERNION}
+_DOUBLE = 8  # bytes of the longest float of polars
 _TEXT_KINDS = "biufU"  # numpy kinds that are written to a table of text without conversion
 
 
@@ -76,16 +81,15 @@ class Estimator:
             InputError: an argument has another form.
         """
         topics = {
-            topic: _expand_source(topic, source) for topic, source in section("sources", sources).items()
+            text("sources", topic): _expand_source(topic, source)
+            for topic, source in section("sources", sources).items()
         }
+        stated = flatten(section("parameters", {} if parameters is None else parameters))
         self._mapping: dict[str, Any] = {
             "time": _column_and_unit("time", time),
             "topics": topics,
             "vehicle": vehicle,
-            "parameters": {
-                **_implied_parameters(topics),
-                **flatten(section("parameters", {} if parameters is None else parameters)),
-            },
+            "parameters": {**_implied_parameters(topics, stated), **stated},
         }
         self._columns_used = list(dict.fromkeys(_column_names(self._mapping)))
         self._mapping["csv"] = {"names": self._columns_used, "delimiter": "comma"}
@@ -100,19 +104,31 @@ class Estimator:
         Raises:
             InputError: a column is missing or of another length, or a source, unit or parameter is rejected.
         """
-        table = _table(frame, self._columns_used)
+        _refuse_forked_process()
         with tempfile.TemporaryDirectory(prefix="trackslip_") as folder, announce_compilation():
             mapping, log, bag = (Path(folder) / name for name in ("sources", "frame.csv", "bag"))
             mapping.write_text(json_text("sources", self._mapping), encoding="utf-8")
-            table.write_csv(log, include_header=False)
             with collect_output() as notes:
                 try:
-                    imported = import_log([log], read_mapping(mapping), bag)
+                    checked = read_mapping(mapping)
+                    _table(frame, self._columns_used).write_csv(log, include_header=False)
+                    imported = import_log([log], checked, bag)
                     with open_bag(bag) as opened:
                         notes += _import_notes(imported)
                         return replay_open_bag(opened, ReplayOptions(), notes, datum=imported.datum)
                 except InputError as error:
                     raise InputError(str(error).replace(f"{folder}/", "")) from error
+
+
+def _refuse_forked_process() -> None:
+    """Raise InputError in a fork of a process that has run an estimator: threads of polars are not in it."""
+    global _process
+    _process = os.getpid() if _process is None else _process
+    if _process != os.getpid():
+        accepted = 'multiprocessing.get_context("spawn")'
+        raise InputError(
+            f"run: this process was forked from one that has run an estimator; accepted: {accepted}"
+        )
 
 
 def _expand_source(topic: str, source: object) -> dict[str, Any]:
@@ -131,16 +147,24 @@ def _column_and_unit(where: str, value: object) -> dict[str, Any]:
     return {"column": value[0], "unit": value[1]}
 
 
-def _implied_parameters(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Parameters that sources imply: lists by role, ``use_heading`` of poses, and ``start`` without poses."""
+def _implied_parameters(topics: Mapping[str, Mapping[str, Any]], stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters that sources imply: lists by role, ``use_heading`` of poses, and ``start`` without poses.
+
+    ``stated``: parameters of the user, by their dotted names. A pose source that they leave out has no flag.
+    """
     lists: dict[str, list[str]] = {name: [] for name in _SOURCE_LISTS.values()}
     heading_flags: dict[str, Any] = {}
+    poses = stated.get("pose_sources", list(topics))
     for topic, source in topics.items():
         role = str(source.get("role", ROLE_OF_TOPIC.get(topic)))
+        if role == "fix":
+            raise InputError(
+                f"sources: {topic}: the estimator takes no fixes; accepted: role: pose, with stddev"
+            )
         if role not in _SOURCE_LISTS or topic == REFERENCE:
             continue
         lists[_SOURCE_LISTS[role]].append(topic)
-        if role == "pose" and not _HEADING_FIELDS & source.keys():
+        if role == "pose" and topic in poses and not _HEADING_FIELDS & source.keys():
             heading_flags[f"sources.{group_name(topic)}.use_heading"] = False
     start = {} if lists["pose_sources"] else {"start": "initial_pose"}
     return {**{name: topics or [""] for name, topics in lists.items()}, **start, **heading_flags}
@@ -160,12 +184,13 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
     """The named columns of a frame of any kind, for a table of text."""
     if isinstance(frame, pl.LazyFrame):
         frame = frame.collect()
-    if hasattr(frame, "reset_index") and set(names) & (set(frame.index.names) - set(frame.columns)):
-        frame = frame.reset_index()  # of pandas, where the time is the index
     if not isinstance(frame, Mapping) and not hasattr(frame, "columns"):
         accepted = "a data frame of pandas or polars, or a mapping of name → array"
         raise InputError(f"frame: a {type(frame).__name__} is no table; accepted: {accepted}")
+    if hasattr(frame, "reset_index") and set(names) & (set(frame.index.names) - set(frame.columns)):
+        frame = frame.reset_index()  # of pandas, where the time is the index
     keys = {str(key): key for key in getattr(frame, "columns", frame)}
+    keys |= {key: key for key in getattr(frame, "columns", frame) if isinstance(key, str)}  # "3" before 3
     columns: dict[str, NDArray[Any]] = {}
     for name in names:
         if name not in keys:
@@ -183,10 +208,13 @@ def _cells(name: str, column: object) -> NDArray[Any]:
     """(n,) numbers or texts of a column of any kind."""
     column = np.ma.filled(column.astype(object), None) if isinstance(column, np.ma.MaskedArray) else column
     cells = np.asarray(column)
+    cells = cells.astype(cells.dtype.newbyteorder("="), copy=False)
     if cells.ndim != 1:
         raise InputError(f"frame: column '{name}' has the shape {cells.shape}; accepted: (n,), a value a row")
     if cells.dtype.kind == "M":
         return np.datetime_as_string(cells)
+    if cells.dtype.kind == "f" and cells.itemsize > _DOUBLE:
+        return cells.astype(np.float64)
     if cells.dtype.kind == "O":
         return np.array([str(cell) for cell in cells])
     if cells.dtype.kind not in _TEXT_KINDS:

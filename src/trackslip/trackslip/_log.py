@@ -5,7 +5,6 @@
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,8 +27,8 @@ class Log:
     namespace: str
     start_ns: int  #: log time of the first message
     duration: float  #: s, from the first to the last message
-    topics: MappingProxyType[str, int]  #: name → number of messages
-    types: MappingProxyType[str, str]  #: name → type
+    topics: dict[str, int]  #: name → number of messages
+    types: dict[str, str]  #: name → type
     vehicle: str | None  #: name of the vehicle in the bag
     damage: str  #: description of the damage; empty without damage
 
@@ -39,6 +38,7 @@ class Log:
         Raises:
             InputError: there is no such topic, or its type is not supported.
         """
+        topic = as_text("topic", topic)
         with open_bag(self.path, self.namespace) as bag:
             require_topics(bag, [topic])
             type_name = self.types[absolute_name(topic)]
@@ -79,8 +79,8 @@ def load(bag: Path | str, namespace: str = "") -> Log:
             name,
             opened.start_ns,
             opened.duration_s,
-            MappingProxyType({topic: info.count for topic, info in topics.items()}),
-            MappingProxyType({topic: info.type_name for topic, info in topics.items()}),
+            {topic: info.count for topic, info in topics.items()},
+            {topic: info.type_name for topic, info in topics.items()},
             None if vehicle is None else vehicle.name,
             opened.damage,
         )

@@ -10,6 +10,8 @@ import numpy as np
 
 from trackslip_common.errors import InputError
 
+_LONGEST_VALUE = 60  # characters
+
 
 def as_number(where: str, value: object) -> float:
     """The value as a number.
@@ -41,7 +43,13 @@ def as_text(where: str, value: object) -> str:
     """
     if isinstance(value, (str, os.PathLike)):
         return os.fspath(value)
-    raise InputError(f"{where}: {value!r} is refused; accepted: text")
+    raise InputError(f"{where}: {_shown(value)} is refused; accepted: text")
+
+
+def _shown(value: object) -> str:
+    """The value as Python writes it, or its type where that is long: a frame, a result."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"a {type(value).__name__}"
 
 
 def as_name(where: str, value: object) -> str | None:

@@ -208,12 +208,12 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the bag, also after an error; after a disk error remove it.
+        """Close the bag; after any error remove it, for a part of a result would look complete.
 
         Raises:
             InputError: the disk is full or gone.
         """
-        failed = error if isinstance(error, OSError) else None
+        failed = error
         try:
             if failed is None:
                 self.close()
@@ -222,6 +222,7 @@ class BagWriter:
         if failed is not None:
             self.abandon()
             self._remove_directory()
+        if isinstance(failed, OSError):
             raise InputError(f"bag '{self.path}' cannot be written ({failed.strerror})") from failed
 
     def _remove_directory(self) -> None:

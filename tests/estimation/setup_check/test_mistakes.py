@@ -383,7 +383,7 @@ def test_front_and_rear_exchanged_are_no_lever_arm_and_no_offset(*, has_heading:
     log = make_drive(has_heading=has_heading, lever=(0.9, 0.5))
     result = check(log.with_tracks(np.array(((0.0, -1.0), (-1.0, 0.0)))))
     assert {cause.cause for cause in result.causes} <= {"tracks_swapped", "both_tracks_sign"}
-    assert result.causes or result.undetermined
+    assert result.causes or any("front and rear exchanged" in one.what for one in result.open_questions)
 
 
 @pytest.mark.parametrize(
@@ -629,6 +629,48 @@ def test_of_two_sources_that_may_be_delayed_the_first_is_named() -> None:
         (question,), _ = judge_delays(delays)
         assert isinstance(question, OpenQuestion)
         assert question.what == f"first_{k} is off by 0.50 s against one other source only"
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_sources_of_which_no_two_agree_in_time_are_an_open_question(*, has_heading: bool) -> None:
+    late = {"imu/data_raw": 0.4, "gnss_pose": 1.2}
+    result = check(make_drive(has_heading=has_heading).with_stamps(lambda name, t: t + late[name]))
+    assert result.causes == ()
+    (question,) = result.open_questions
+    assert "no two sources agree: imu/data_raw +0.40 s after sprockets" in question.what
+
+
+@pytest.mark.parametrize("late", [-2.0, 2.2])
+def test_a_gyro_that_is_late_by_seconds_is_named(late: float) -> None:
+    log = drive().with_stamps(lambda name, t: t + late if name == "imu/data_raw" else t)
+    (cause,) = check(log).causes
+    assert (cause.cause, cause.source) == ("source_delay", "imu/data_raw")
+    assert f"time_offset: {-late:.1f}" in cause.remedy
+
+
+@pytest.mark.parametrize(("stddev", "expected"), [(0.02, set()), (0.004, set()), (1e-6, {"position_noise"})])
+def test_places_that_scatter_far_more_than_they_state_are_named(stddev: float, expected: set[str]) -> None:
+    assert names_of(with_stddev(drive(), stddev)) == expected
+
+
+@pytest.mark.parametrize("has_gyro", [True, False])
+@pytest.mark.parametrize(("axis", "name"), [(0, "x"), (1, "y")])
+def test_a_coordinate_that_never_changes_is_named(axis: int, name: str, *, has_gyro: bool) -> None:
+    log = drive()
+    places = log.fixes[0].places.copy()
+    places[:, axis] = 0.0
+    log = replace(log, fixes=(replace(log.fixes[0], places=places),), gyros=log.gyros if has_gyro else ())
+    assert any(f"{name} of gnss_pose never changes" in one.what for one in check(log).open_questions)
+
+
+def test_places_in_the_next_zone_of_a_grid_are_a_datum_alone() -> None:
+    log = drive()
+    (fixes,) = log.fixes
+    is_beyond = fixes.t > np.median(fixes.t)
+    turned = fixes.complex_places * np.exp(1j * np.radians(4.0)) - 430e3
+    places = np.where(is_beyond, turned, fixes.complex_places)
+    fixes = replace(fixes, places=np.column_stack((places.real, places.imag)))
+    assert names_of(replace(log, fixes=(fixes,))) == {"datum"}
 
 
 @pytest.mark.parametrize("late", [-0.3, 1.0])

@@ -80,7 +80,7 @@ class Spread:
             values: FloatArray = np.mean(own, axis=0) * self.value.factor
         else:
             values = np.full(count, self.value)
-        return np.square(values) if self.is_stddev else values
+        return values * np.abs(values) if self.is_stddev else values  # -1, of unknown ones, is none
 
 
 def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
@@ -100,13 +100,20 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
     return Column(
         names=texts(f"{where}.column", tree["column"]),
         quantity=quantity,
-        factor=factor * number(f"{where}.scale", tree.get("scale", 1.0)),
+        factor=factor * _scale(f"{where}.scale", tree.get("scale", 1.0)),
         origin=FIRST if origin == FIRST else number(f"{where}.origin", origin),
         turn=math.tau / factor if quantity == "angle" else 0.0,
         missing=_missing_values(f"{where}.missing", tree.get("missing", [])),
         increments=flag(f"{where}.increments", tree.get("increments", False)),
         degrees_minutes=degrees_minutes,
     )
+
+
+def _scale(where: str, value: Any) -> float:
+    scale = number(where, value)
+    if scale == 0.0:
+        raise InputError(f"{where}: 0 is out of range; accepted: another number")
+    return scale
 
 
 def _missing_values(where: str, value: Any) -> tuple[float, ...]:

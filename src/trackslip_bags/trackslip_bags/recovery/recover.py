@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes the readable part of a damaged bag to a new one, with a new index and ``metadata.yaml``."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -54,19 +53,14 @@ def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda 
     mcap_files = [file for file in files if begins_with(file, MAGIC)]
     is_mcap = mcap_files and not any(file.suffix == PACKED for file in files)
     other = None if is_mcap else open_bag(path)
-    bag = BagWriter(output)
-    copy = _Copy(bag, Recovery(stated=_stated_count(path)))
-    try:
-        with bag:
-            if other is not None:
-                copy.add_other_bag(other, advance)
-            for k, file in enumerate(mcap_files if other is None else ()):
-                if k > 0:
-                    bag.split()
-                copy.add_mcap(file, lambda share: advance(share / len(mcap_files)))
-    except BaseException:
-        shutil.rmtree(output, ignore_errors=True)  # a partial recovery would look complete
-        raise
+    with BagWriter(output) as bag:
+        copy = _Copy(bag, Recovery(stated=_stated_count(path)))
+        if other is not None:
+            copy.add_other_bag(other, advance)
+        for k, file in enumerate(mcap_files if other is None else ()):
+            if k > 0:
+                bag.split()
+            copy.add_mcap(file, lambda share: advance(share / len(mcap_files)))
     return copy.recovery
 
 

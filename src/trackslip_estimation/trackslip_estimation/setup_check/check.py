@@ -81,6 +81,7 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
         log, causes = with_common_clock(log)
         findings.add(causes)
     findings.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
+    findings.add(places.judge_scatter(log.fixes, log.tracks))
     fixes, causes = places.drop_held(log.fixes)
     findings.add(causes)
     log = replace(log, fixes=tuple(with_measured_noise(source) for source in fixes))
@@ -88,7 +89,8 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
         findings.add(unmoved.judge_dead_tracks(log) or [_STANDSTILL_QUESTION])
         return []
     log, drive = _correct_quantities(log, findings)
-    if frames := judge_twist_frame(drive):  # the tracks show no path
+    frames = [] if findings.has_cause("datum") else judge_twist_frame(drive)  # fixes that leap show no path
+    if frames:  # the tracks show no path
         findings.add(frames)
         return summary_lines(log, drive, 1.0)
     rough = speeds.rough_scale(drive)
@@ -107,8 +109,9 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     comparison = (
         sides.TracksResult(None) if gyro_result.is_contradicted else sides.compare_tracks(drive, unit)
     )
-    if comparison.has_wrong_frame:  # which explains the distance from the map
+    if comparison.has_wrong_frame:  # which explains the distance from the map, and the scatter
         findings.withdraw("datum")
+        findings.withdraw("position_noise")
     findings.add(comparison.findings)
     if comparison.drive is None:
         return summary_lines(log, drive, unit)

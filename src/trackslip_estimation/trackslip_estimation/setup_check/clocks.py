@@ -28,7 +28,8 @@ from trackslip_estimation.setup_check.fit import path_delay_logs
 from trackslip_estimation.setup_check.log import TRACKS, Fixes
 from trackslip_estimation.setup_check.path import thin_fixes
 
-LARGEST_DELAY = 2.0  # s, largest delay that is tried
+LARGEST_DELAY = 2.0  # s, largest delay that is tried by the shape of the path
+_LARGEST_RATE_DELAY = 3.0  # s, and by turn rates; those beyond it show as unrelated turns
 _PIECE = 15.0  # s, length of a piece
 _LEAST_PIECES = 3
 _LEAST_CORRELATION = 0.5
@@ -211,7 +212,8 @@ def judge_delays(
     sources = dict.fromkeys([*((topic,) for topic in topics), tuple(t for t in receiver if t in topics)])
     suspects = [s for s in sources if all(_is_between(key, s) == (key in significant) for key in values)]
     if not suspects:
-        return [], ()
+        is_apart = all(key in significant for key in values if not {*key} <= {*receiver})
+        return ([_disagreement(significant)] if is_apart else []), ()
     late, best = suspects[0], " and ".join(suspects[0])
     pairs = [key for key in values if _is_between(key, late)]
     if len(values) == 1:
@@ -239,6 +241,14 @@ def judge_delays(
     )
     odds = odds_of(0.5 * ((abs(value) - 0.05) / stddev) ** 2)
     return [Cause("source_delay", late[0], evidence, odds, remedy)], late
+
+
+def _disagreement(delays: Mapping[tuple[str, str], tuple[float, float]]) -> OpenQuestion:
+    """Delays, s ± s, between sources of which no two agree."""
+    pairs = [f"{b} {value:+.2f} s after {a}" for (a, b), (value, _) in delays.items()]
+    is_wrong = max(abs(value) for value, _ in delays.values()) > _LONGEST_LAG
+    needed = "set time_offset of each source, or give all one clock"
+    return OpenQuestion(f"stamps of which no two sources agree: {', '.join(pairs)}", needed, is_wrong)
 
 
 def _is_longer_than_lag(delays: Mapping[tuple[str, str], tuple[float, float]]) -> bool:
@@ -279,7 +289,7 @@ class Delay(NamedTuple):
 
 def correlate_rates(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
     """Delay between two rates (m,) on cells of ``cell`` s; None where they are not correlated."""
-    steps = round(LARGEST_DELAY / cell)
+    steps = round(_LARGEST_RATE_DELAY / cell)
     usable = np.isfinite(first) & np.isfinite(second)
     a, b = (_clip_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
     size = round(_PIECE / cell)
@@ -300,7 +310,7 @@ def correlate_rates(first: FloatArray, second: FloatArray, cell: float) -> Delay
         cross[k] = reference @ windows
         energies[k, 0], energies[k, 1] = reference @ reference, np.sum(windows**2, axis=0)
     total = _correlation_peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
-    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LARGEST_DELAY:  # maximum at an end
+    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= _LARGEST_RATE_DELAY:
         return None
     strong = energies[:, 0, 0] > 0.02 * energies[:, 0, 0].sum()
     if strong.sum() < 2:
@@ -312,7 +322,7 @@ def correlate_rates(first: FloatArray, second: FloatArray, cell: float) -> Delay
         if peak is not None:
             deviations.append(peak[0] - total[0])
     n = len(deviations)
-    stddev = float(np.sqrt((n - 1) / n * np.sum(np.square(deviations)))) if n > 1 else LARGEST_DELAY
+    stddev = float(np.sqrt((n - 1) / n * np.sum(np.square(deviations)))) if n > 1 else _LARGEST_RATE_DELAY
     return Delay(total[0], max(stddev, 0.02))
 
 

@@ -23,7 +23,7 @@ from trackslip_estimation.setup_check.finding import (
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import WINDOW, running_sum
 from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrap_angles
-from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_of
+from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, Tracks, group_of
 from trackslip_estimation.setup_check.path import Path, thin_fixes
 from trackslip_estimation.setup_check.signs import HEADING
 from trackslip_estimation.setup_check.turning import robust_stddev
@@ -48,6 +48,8 @@ _AHEAD_REQUEST = "drive 10 m ahead: both tracks must count up"
 _FARTHEST_SITE = 5e3  # m from the origin of the map, beyond any site
 _LEAST_GRID_COORDINATE = 1e5  # m: coordinates of a national grid
 _LEAST_SEPARATION = 20.0  # m between sources, all the time
+_LEAST_STILL, _LEAST_SCATTER_RATIO = 20, 20.0  # steps at standstill; scatter over the stated one
+_MEDIAN_STEP = 1.665  # median step of two axes over the standard deviation of one (Rayleigh, times √2)
 
 
 def best_lever(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> Lever | None:
@@ -257,6 +259,26 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Finding]:
         floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{rounding:.2g}"))
         remedy = f"Record {MORE_DIGITS}, or set {floor}"
         causes.append(Cause("position_resolution", source.name, evidence, READ_OFF, remedy))
+    return causes
+
+
+def judge_scatter(fixes: Sequence[Fixes], tracks: Tracks) -> list[Finding]:
+    """Places that scatter far more at standstill of the tracks than their stated standard deviation."""
+    causes: list[Finding] = []
+    for source in fixes:
+        angles = np.column_stack([np.interp(source.t, tracks.t, side) for side in tracks.angles.T])
+        is_still = (np.diff(angles, axis=0) == 0.0).all(axis=1) & np.isfinite(np.diff(source.complex_places))
+        steps = np.abs(np.diff(source.complex_places))[is_still]
+        scatter = float(np.median(steps)) / _MEDIAN_STEP if len(steps) >= _LEAST_STILL else 0.0
+        if source.is_above or scatter <= _LEAST_SCATTER_RATIO * source.noise:
+            continue
+        evidence = (
+            f"its places scatter by {scatter:.2g} m at standstill, and state a standard deviation of "
+            f"{source.noise:.2g} m"
+        )
+        floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{scatter:.2g}"))
+        remedy = f"State stddev: {{x: {scatter:.2g}, y: {scatter:.2g}}} in the mapping, or set {floor}"
+        causes.append(Cause("position_noise", source.name, evidence, READ_OFF, remedy))
     return causes
 
 

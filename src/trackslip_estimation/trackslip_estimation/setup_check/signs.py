@@ -25,6 +25,7 @@ from trackslip_estimation.setup_check.turning import LEAST_TURNS, count_turns, f
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
 GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
+_FRONT_AND_REAR = frozenset((BOTH, SWAPPED))  # exchanged: the machine turns as recorded
 _FORWARD_WEIGHT = 3.0  # ln odds for each e-fold of the share of the distance that is forward
 _SHARES = (0.12, 0.88)  # range that this share is clipped to: some machines only reverse
 _LEAST_COURSES = 3
@@ -110,6 +111,9 @@ def decide(e: Evidence) -> Decision:
     )
     scores = np.array([_score(e, *h) for h in hypotheses])
     sets = [_hypothesis_causes(*h) for h in hypotheses]
+    exchanged, right = sets.index(_FRONT_AND_REAR), sets.index(frozenset())
+    if scores[exchanged] - scores[right] < LEAST_LOG:  # lever arm and headings show it
+        scores[exchanged] = -np.inf
     best = int(np.argmax(scores))
     weights = np.exp(scores - scores[best])
     names = sorted(set().union(*sets))

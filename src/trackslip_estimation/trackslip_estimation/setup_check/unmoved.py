@@ -51,6 +51,9 @@ def judge_fixes(drive: Drive) -> list[Finding]:
         what += "a receiver that is frozen, or another column"
         needed = "watch the live positions while the machine drives"
         return [OpenQuestion(what, needed, is_wrong=True)]
+    if (axis := _constant_axis(drive, fixes)) is not None:
+        what = f"{axis} of {name} never changes while the machine drives {distance:.0f} m, and turns"
+        return [OpenQuestion(what, f"name the column of {axis} in the mapping", is_wrong=True)]
     if (ratio := _wrong_unit_ratio(drive)) > 0.0:
         evidence = (
             f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
@@ -69,6 +72,16 @@ def judge_fixes(drive: Drive) -> list[Finding]:
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
     return [Cause("frame", name, evidence, READ_OFF, remedy)]
+
+
+def _constant_axis(drive: Drive, fixes: Fixes) -> str | None:
+    """The axis whose coordinates are all the same, though the machine turns."""
+    left, right = drive.tracks_over_tread.T
+    turn = USUAL_EFFICIENCY * (right - left) if drive.gyro is None else drive.unbiased_turn
+    is_constant = np.ptp(fixes.places, axis=0) == 0.0
+    if is_constant.sum() != 1 or count_turns(turn) < LEAST_TURNS:
+        return None
+    return "xy"[int(np.argmax(is_constant))]
 
 
 def _wrong_unit_ratio(drive: Drive) -> float:

@@ -71,11 +71,11 @@ class EstimateWriter(StampedWriter):
     """
 
     def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
-        super().__init__(path)
         self._p = p
         self._start, self._begun = _learned_section(p, learned), False
-        self._sequence, self._local = 0, LocalOdometry()
+        self._sequence, self._local = 0, LocalOdometry()  # loads kernels
         self._logged_ns: int | None = None
+        super().__init__(path)
 
     def add(self, part: Part) -> None:
         """Write the results of a part."""
