@@ -39,15 +39,15 @@ class Bench:
 
     def __init__(self) -> None:
         self._watch = np.zeros(1, dtype_of(PressureWatch))
-        self._rng, self.is_downhill = np.random.default_rng(3), False
+        self._rng, self.is_downhill, self.is_even = np.random.default_rng(3), False, True
 
     @property
     def faults(self) -> tuple[PressureFault, ...]:
         return reported_faults(self._watch[0])
 
     def _evaluate(self, sample: np.ndarray) -> PressureFault | None:
-        relief, is_downhill = P.vehicle.whole().relief_pressure, self.is_downhill
-        code = evaluate_pressures(self._watch[0], sample[0], NUMBERS[0], relief, is_downhill)
+        relief, load = P.vehicle.whole().relief_pressure, (self.is_downhill, self.is_even)
+        code = evaluate_pressures(self._watch[0], sample[0], NUMBERS[0], relief, *load)
         return None if code == NO_FAULT else tuple(PressureFault)[code]
 
     def drive(
@@ -153,6 +153,21 @@ def test_a_load_across_the_tracks_is_no_fault(bench: Bench, side: int, fault: Pr
         return p
 
     assert set(bench.drive(STRAIGHT, 5.0, across)) == {None}
+
+
+@SIDES
+@pytest.mark.parametrize(("factor", "is_fault"), [(0.1, False), (-0.1, False), (0.0, True)])
+def test_across_a_slope_only_a_dead_transducer_is_named(
+    bench: Bench, side: int, fault: PressureFault, factor: float, is_fault: bool
+) -> None:
+    """The upper track bears a tenth of the lower one at 15° on sandy loam, and brakes on steeper ground."""
+
+    def shared(p: np.ndarray) -> np.ndarray:
+        p[side] = factor * p[1 - side]
+        return p
+
+    bench.is_even = False
+    assert set(bench.drive(STRAIGHT, 5.0, shared)) == {fault if is_fault else None}
 
 
 def test_transducers_without_sign_are_named_in_the_first_reverse_until_another_refutes_it(

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
+from trackslip_common.arrays import BoolArray
 from trackslip_common.parameter_record import record_of
 from trackslip_common.record_types import dtype_of, make_table
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import READ_OFF, Cause, Finding
-from trackslip_estimation.setup_check.grid import covered_cells
+from trackslip_estimation.setup_check.grid import WINDOW, covered_cells, integral
 from trackslip_estimation.setup_check.log import Pressures
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, classify
 from trackslip_estimation.soil.interpolation import SAMPLE, Sample
@@ -24,6 +26,7 @@ from trackslip_estimation.soil.pressure_watch import (
 
 _LEAST_TIME = 10.0  # s of driving with pressures
 _LEAST_SHARE = 0.5  # of this time with one fault; a slope brakes the motors on one way only
+_LEVEL = 0.1  # rad, largest tilt of level ground: accelerations of the machine add to it
 _OF_SIDE = "Bind the sensor of this side as it is: signal, unit and sign in the roles or the mapping file"
 _UNIT = "State the unit of the pressures in the roles or the mapping file: {unit: bar}; messages have Pa"
 _MISTAKES = {
@@ -67,15 +70,29 @@ def _fault_times(drive: Drive, pressures: Pressures) -> tuple[dict[PressureFault
     sample, state = make_table(Sample, SAMPLE, 1)[0], MotionState()
     seconds, driven = dict.fromkeys(PressureFault, 0.0), 0.0
     sample["dt"], sample["has_pressures"], sample["spools"] = grid.cell, True, math.nan
-    for speeds, reading, is_known in zip(grid.tracks / grid.cell, newest, is_covered, strict=True):
+    cells = zip(grid.tracks / grid.cell, newest, is_covered, _level_cells(drive), strict=True)
+    for speeds, reading, is_known, is_level in cells:
         if not is_known:
             continue
         state = classify(state, Speeds(*(speeds / radius).tolist()), grid.cell, pressures.motion)
         sample["tracks"], sample["motion"], sample["pressures"] = speeds, state.motion, reading
         sample["reading"] = reading
-        fault = evaluate_pressures(watch, sample, limits, pressures.relief, False)
+        fault = evaluate_pressures(watch, sample, limits, pressures.relief, False, bool(is_level))
         if state.motion in (Motion.STRAIGHT, Motion.TURNING):
             driven += grid.cell
             if fault != NO_FAULT:
                 seconds[tuple(PressureFault)[fault]] += grid.cell
     return seconds, driven
+
+
+def _level_cells(drive: Drive) -> BoolArray:
+    """(m,) whether an inertial unit on the undercarriage shows level ground along both axes."""
+    edges, gyro = drive.grid.edges, drive.gyro
+    if gyro is None or gyro.is_above or not np.isfinite(gyro.accelerations).any():
+        return np.zeros(len(edges) - 1, np.bool_)
+    is_finite = np.isfinite(gyro.accelerations).all(axis=1)
+    t, forces = gyro.t[is_finite], integral(gyro.t[is_finite], gyro.accelerations[is_finite])
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    ends = (np.column_stack([np.interp(middle + s * WINDOW / 2.0, t, c) for c in forces.T]) for s in (-1, 1))
+    before, after = ends
+    return np.asarray(np.hypot(*(after - before).T[:2]) < _LEVEL * WINDOW * GRAVITY)

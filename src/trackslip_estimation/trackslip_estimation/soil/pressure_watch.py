@@ -8,8 +8,8 @@ repeat readings). The fault is reported once its evidence reaches ``report_time`
 A sample that one fault explains is no evidence about those after it.
 
 The sum of both pressures drives the machine against its resistance wherever it does not roll downhill, in
-turns too. A smaller sum has the wrong unit or sign. Driving straight, each side bears its share. Transducers
-without sign show it only in reverse: both ways have evidence of their own.
+turns too. A smaller sum has the wrong unit or sign. Driving straight under an even load, each side bears its
+share. Transducers without sign show it only in reverse: both ways have evidence of their own.
 """
 
 import math
@@ -71,6 +71,7 @@ class PressureFault(Enum):
     _SWAPPED,
 ) = range(13)
 _SAME_SPOOLS = 0.1  # relative difference of the spools up to which they ask for no turn
+_ZERO_SHARE = 0.005  # ratio to the other pressure up to which a pressure counts as zero, 0.2 bar of 45
 NO_FAULT = -1
 _RIGHT_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
@@ -118,11 +119,17 @@ def reported_faults(watch: PressureWatch) -> tuple[PressureFault, ...]:
 
 @compiled
 def evaluate_pressures(
-    watch: PressureWatch, sample: Sample, p: WatchParameters, relief_pressure: float, downhill: bool
+    watch: PressureWatch,
+    sample: Sample,
+    p: WatchParameters,
+    relief_pressure: float,
+    downhill: bool,
+    even: bool,
 ) -> int:
     """Return the index of the fault that makes the pressures of a sample unusable, or NO_FAULT.
 
-    ``downhill``: whether the weight pulls the machine in the direction in which it moves.
+    ``downhill``: whether the weight pulls the machine in the direction in which it moves; ``even``: whether
+    both tracks are known to bear about the same weight.
     """
     unusable, likely_unit = NO_FAULT, _OPEN if downhill else _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
@@ -138,7 +145,7 @@ def evaluate_pressures(
         elif unusable != NO_FAULT:
             evidence = _OPEN
         elif fault <= _RIGHT_LOW:
-            evidence = _OPEN if downhill else _low_evidence(fault - _LEFT_LOW, sample, p)
+            evidence = _OPEN if downhill else _low_evidence(fault - _LEFT_LOW, sample, p, even)
         elif fault == _SWAPPED:
             evidence = _swap_evidence(sample, p)
         elif likely_unit == _OPEN:
@@ -185,10 +192,11 @@ def _stuck_evidence(watch: PressureWatch, fault: int, sample: Sample, p: WatchPa
 
 
 @compiled
-def _low_evidence(side: int, sample: Sample, p: WatchParameters) -> int:
+def _low_evidence(side: int, sample: Sample, p: WatchParameters, even: bool) -> int:
     """Return the evidence for a side that drives far less than the other while both drive straight.
 
-    Spools that ask for a turn, which the ground resists, are no evidence.
+    Spools that ask for a turn, which the ground resists, are no evidence. Under an uneven load, as across a
+    slope of 15°, one side may bear a tenth of the other, but not nothing.
     """
     left, right = sample.tracks[0], sample.tracks[1]
     difference = abs(sample.spools[0] - sample.spools[1])
@@ -200,7 +208,9 @@ def _low_evidence(side: int, sample: Sample, p: WatchParameters) -> int:
     low, high = forward * sample.pressures[side], forward * sample.pressures[1 - side]
     if high < p.least_pressure:
         return _OPEN
-    return _FOR if low < p.least_share * high else _AGAINST
+    if low >= p.least_share * high:
+        return _AGAINST
+    return _FOR if even or abs(low) <= _ZERO_SHARE * high else _OPEN
 
 
 @compiled

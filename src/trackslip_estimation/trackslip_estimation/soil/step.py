@@ -69,6 +69,9 @@ _FORCES_CAPACITY = 256  # forces kept until they are fetched
 _BRIEF = len(PressureFault)  # index of ``UnusedReason.BRIEF`` in ``LoopState.faults``
 _AT_REST = _BRIEF + 1
 
+_KNOWN_TILT = 0.05  # rad, standard deviation of a roll from which the loads of the tracks are known
+_EVEN_SHARE = 0.1  # of the weight, by which the loads may differ to count as even
+
 # Why the loop stopped
 # No input left; no room for forces; the clock went back; the sample is open; the state is not finite
 PROCESSED, FULL, RESTART, OPEN, DIVERGED = range(5)
@@ -194,8 +197,11 @@ def _step(estimator: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
     set_ground_load(estimator.load, estimator.centre, sample, p)
     is_level = abs(estimator.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
     is_downhill = not is_level and estimator.load.pull * sample.twist[0] > 0.0
+    left_load, right_load = estimator.load.normal
+    is_even = abs(left_load - right_load) < _EVEN_SHARE * (left_load + right_load)
+    is_even = is_even and sample.tilt_variance[0] < _KNOWN_TILT**2
     fault = pressure_watch.evaluate_pressures(
-        estimator.watch, sample, p.watch, p.vehicle.relief_pressure, is_downhill
+        estimator.watch, sample, p.watch, p.vehicle.relief_pressure, is_downhill, is_even
     )
     is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
     if sample.has_pressures:
