@@ -163,11 +163,11 @@ def test_across_a_slope_only_a_dead_transducer_is_named(
     """The upper track bears a tenth of the lower one at 15° on sandy loam, and brakes on steeper ground."""
 
     def shared(p: np.ndarray) -> np.ndarray:
-        p[side] = factor * p[1 - side]
+        p[side] = factor * p[1 - side] + p[1 - side] % 2e4 - 1e4
         return p
 
     bench.is_even = False
-    assert set(bench.drive(STRAIGHT, 5.0, shared)) == {fault if is_fault else None}
+    assert set(bench.drive(STRAIGHT, 5.0, shared)[50:]) == {fault if is_fault else None}
 
 
 def test_transducers_without_sign_are_named_in_the_first_reverse_until_another_refutes_it(
