@@ -22,6 +22,7 @@ from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine, Tracks
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.machine.excavator import simulate_drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
@@ -70,7 +71,7 @@ def emulated(vehicle: str, folder: Path) -> Log:
 def log_of_bag(path: Path) -> Log:
     with open_bag(path, None) as bag:
         p = parameters_of(bag, [], [])
-        stream, collector = InputStream(bag, p, InputFilters()), Collector(p)
+        stream, collector = InputStream(bag, p, InputFilters()), Collector(p, load_soil_parameters().watch)
         for batch in stream:
             collector.add(batch.rows, stream.sources)
         log = collector.log()

@@ -9,7 +9,7 @@ A sample that one fault explains is no evidence about those after it.
 
 The sum of both pressures drives the machine against its resistance wherever it does not roll downhill, in
 turns too. A smaller sum has the wrong unit or sign. Driving straight under an even load, each side bears its
-share. Transducers without sign show it only in reverse: both ways have evidence of their own.
+share. Transducers without sign show it only in reverse: both directions have evidence of their own.
 """
 
 import math
@@ -162,16 +162,16 @@ def _accumulate_evidence(
     watch: PressureWatch, fault: int, sample: Sample, evidence: int, p: WatchParameters
 ) -> bool:
     """Add the evidence of a sample; return whether the fault makes its pressures unusable."""
-    has_way = fault in (_LEFT_LOW, _RIGHT_LOW, _WRONG_SIGN)
-    way = int(has_way and sample.tracks[0] + sample.tracks[1] < 0.0)
+    has_direction = fault in (_LEFT_LOW, _RIGHT_LOW, _WRONG_SIGN)
+    direction = int(has_direction and sample.tracks[0] + sample.tracks[1] < 0.0)
     seconds = watch.seconds[fault]
     if evidence != _OPEN:
-        seconds[way] += sample.dt if evidence == _FOR else -sample.dt
-        seconds[way] = min(max(seconds[way], 0.0), p.report_time)
+        seconds[direction] += sample.dt if evidence == _FOR else -sample.dt
+        seconds[direction] = min(max(seconds[direction], 0.0), p.report_time)
     most = max(seconds[0], seconds[1])
     watch.is_reported[fault] = most > 0.0 and (watch.is_reported[fault] or most >= p.report_time)
     grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
-    return bool(watch.is_reported[fault] or (evidence == _FOR and seconds[way] > grace))
+    return bool(watch.is_reported[fault] or (evidence == _FOR and seconds[direction] > grace))
 
 
 @compiled
