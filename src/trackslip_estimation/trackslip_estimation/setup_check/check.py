@@ -22,6 +22,7 @@ from trackslip_estimation.setup_check import (
     time_units,
     unmoved,
 )
+from trackslip_estimation.setup_check.accelerations import judge_accelerations
 from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
 from trackslip_estimation.setup_check.drive import Drive
@@ -40,7 +41,6 @@ from trackslip_estimation.setup_check.finding import (
 from trackslip_estimation.setup_check.fit import Lever, segment_scales
 from trackslip_estimation.setup_check.grid import WINDOW, make_grid, running_sum, window_sums
 from trackslip_estimation.setup_check.heading import heading_unit
-from trackslip_estimation.setup_check.imu_yaw import judge_imu_yaw
 from trackslip_estimation.setup_check.log import TRACKS, Compass, Fixes, Gyro, Log
 from trackslip_estimation.setup_check.missing_values import remove_missing
 from trackslip_estimation.setup_check.path import thin_fixes, with_measured_noise
@@ -121,7 +121,7 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     corrected = directions.correct_signs(comparison.drive)
     if directions.is_decided:
         findings.add(judge_pressures(corrected))
-        findings.add([] if findings.has_cause("imu_mounting") else judge_imu_yaw(corrected))
+        findings.add([] if findings.has_cause("imu_mounting") else judge_accelerations(corrected))
         _judge_continuous(corrected, unit, gyro_result.unit, findings)
     return summary_lines(log, corrected, unit)
 

@@ -129,6 +129,13 @@ def _confirming_odometer(drive: Drive, scale: float) -> str:
 
 def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     """(3,) unit vector of the specific force at standstill, or of the whole log; None: unknown."""
+    force = force_at_rest(drive, gyro)
+    size = 0.0 if force is None else float(np.linalg.norm(force))
+    return force / size if force is not None and _GRAVITY[0] < size < _GRAVITY[1] else None
+
+
+def force_at_rest(drive: Drive, gyro: Gyro) -> FloatArray | None:
+    """(3,) median specific force at standstill, or of the whole log, as recorded; None: there is none."""
     is_finite = np.isfinite(gyro.accelerations).all(axis=1)
     if is_finite.sum() < 10:
         return None
@@ -138,9 +145,7 @@ def gravity_direction(drive: Drive, gyro: Gyro) -> FloatArray | None:
     at_rest = inside.copy()
     at_rest[inside] = still[window[inside]]
     chosen = at_rest if at_rest.sum() >= 10 else is_finite
-    force = np.median(gyro.accelerations[chosen], axis=0)
-    size = float(np.linalg.norm(force))
-    return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
+    return np.asarray(np.median(gyro.accelerations[chosen], axis=0))
 
 
 def _find_vertical_axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, list[Finding]]:

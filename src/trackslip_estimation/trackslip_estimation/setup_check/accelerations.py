@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the x axis of the inertial unit points ahead, by the forces of starts and stops, and of turns.
+"""Accelerations of the inertial unit: their unit and sign by gravity, the direction of x by starts and stops.
 
 v, ω       speed by the tracks, turn rate                                           m/s, rad/s
 f          f_x + i f_y, without its slow part, which is a tilt                      m/s²
@@ -13,12 +13,24 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Finding, OpenQuestion, odds_of
+from trackslip_estimation.setup_check.finding import (
+    LEAST_LOG,
+    PRIOR,
+    READ_OFF,
+    Cause,
+    Finding,
+    OpenQuestion,
+    odds_of,
+)
 from trackslip_estimation.setup_check.grid import increments, integral
-from trackslip_estimation.setup_check.log import Array, ComplexArray
+from trackslip_estimation.setup_check.inertial import force_at_rest
+from trackslip_estimation.setup_check.log import Array, ComplexArray, Gyro
 
+_UNITS = {"g": GRAVITY, "mg": 1e-3 * GRAVITY}  # m/s²
+_NEAR = 0.2  # ln ratio up to which a size is that of gravity
 _STEP = 0.2  # s: starts and stops are longer
 _SLOW = 2.0  # s, length of the means that are taken off
 _LARGEST_LAG = 5  # steps by which the unit may lag behind the tracks
@@ -38,10 +50,35 @@ class _Fit(NamedTuple):
     turn_variance: float  # of c
 
 
-def judge_imu_yaw(drive: Drive) -> list[Finding]:
-    """A cause if the forces of starts and stops lie along another axis than x, or against it."""
+def judge_accelerations(drive: Drive) -> list[Finding]:
+    """A cause if gravity has another unit or sign, or starts and stops lie along another axis.
+
+    The drive's signs are right, and its unit is not mounted upside down.
+    """
     gyro = drive.gyro
-    if gyro is None or gyro.is_above or (fit := _fit_forces(drive)) is None:
+    force = None if gyro is None else force_at_rest(drive, gyro)
+    if gyro is None or force is None:
+        return []
+    size = float(np.linalg.norm(force))
+    for name, factor in _UNITS.items():
+        if abs(math.log(max(size, 1e-9) * factor / GRAVITY)) < _NEAR:
+            evidence = f"its accelerations at standstill are {size:.3g}: gravity in {name}, not in m/s²"
+            remedy = f"State their unit in the mapping: {{unit: {name}}}; messages have m/s² (REP 145)"
+            return [Cause("acceleration_unit", gyro.name, evidence, READ_OFF, remedy)]
+    if abs(math.log(max(size, 1e-9) / GRAVITY)) > _NEAR:
+        what = f"tilt: accelerations of {gyro.name} at standstill are {size:.2g} m/s², without gravity"
+        return [OpenQuestion(what, "let its driver publish them with gravity (REP 145)")]
+    if force[2] < -0.8 * size:
+        evidence = f"gravity along z is {force[2]:.1f} m/s², though the unit turns as the tracks do"
+        remedy = "Invert its accelerations: scale: -1 in the mapping; at rest z shows +9.8 (REP 145)"
+        return [Cause("acceleration_sign", gyro.name, evidence, READ_OFF, remedy)]
+    return [] if gyro.is_above else _judge_direction(drive, gyro)
+
+
+def _judge_direction(drive: Drive, gyro: Gyro) -> list[Finding]:
+    """A cause if the x axis does not point ahead."""
+    fit = _fit_forces(drive)
+    if fit is None:
         return []
     yaw = -float(np.angle(fit.b))
     ahead = max(fit.b.real, 0.0)
