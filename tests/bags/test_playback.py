@@ -48,6 +48,17 @@ def test_messages_are_due_at_their_log_time() -> None:
     assert playback.counts == {"/a": 3}
 
 
+def test_playback_does_not_wait_for_the_years_that_a_clock_was_set_by() -> None:
+    """The computer started in 1970, without a battery, and got the time after two messages."""
+    stamps = (5 * S, 6 * S, 1_700_000_000 * S, 1_700_000_001 * S)
+    playback = Playback(lambda: (PlayedMessage("/a", t, str(t // S).encode()) for t in stamps), rate=1.0)
+    assert taken(playback, 0.0) == ["5"]
+    assert taken(playback, 1.0) == ["6"]
+    assert taken(playback, 1.1) == ["1700000000"]
+    assert taken(playback, 2.1) == ["1700000001"]
+    assert playback.is_finished
+
+
 def test_playback_rate_scales_time() -> None:
     playback = Playback(three, rate=2.0)
     assert taken(playback, 0.0) == ["0"]

@@ -20,6 +20,7 @@ OWN_OUTPUTS = frozenset(name for name, topic in TOPICS.items() if topic.publishe
     "parameter_events",
 }
 CLOCK = "clock"  # published by the player
+_CLOCK_SET_NS = 3_600_000_000_000  # ns without a message, of a recorder whose clock was set: not waited for
 
 
 class PlayedMessage(NamedTuple):
@@ -88,6 +89,8 @@ class Playback:
         if self._now_s is not None and not self.paused:
             self._due_ns += round((now_s - self._now_s) * self._rate * 1e9)
         self._now_s = now_s
+        if self._next is not None and self._next.log_time_ns - self._due_ns > _CLOCK_SET_NS:
+            self._due_ns = self._next.log_time_ns
         while self._next is not None and self._next.log_time_ns <= self._due_ns and not self.paused:
             message, self._next = self._next, next(self._messages, None)
             self._played_ns = message.log_time_ns
