@@ -249,6 +249,8 @@ def _propagate_tilt(
 def _update_tilt(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
     """Update with both horizontal axes of a span that ends here; ``motion``: its u̇, m/s²."""
     x, force, h, imu = a.mean, specific_force(a.sample), np.zeros(SIZE), a.sample
+    speed = math.hypot(a.span.velocity[0], a.span.velocity[1])
+    a.fastest = max(a.fastest * (1.0 - a.span.time / _SLIDE_TIME), speed)
     spread = 0.0 if a.span.known == 1 else n.unknown_acceleration**2
     spread += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
     pitch = mean_tilt(a)[1]
@@ -289,10 +291,8 @@ def _update_axis(
 def _open_tilt(a: Attitude, k: int, innovation: float) -> None:
     """Open the variance of roll or pitch ``k`` to the error that no slide explains."""
     span = a.span
-    share = span.time / _SLIDE_TIME
-    a.fastest = max(a.fastest * (1.0 - 0.5 * share), math.hypot(span.velocity[0], span.velocity[1]))
     gain = span.time if span.known == 1 and abs(innovation) < GRAVITY else 0.0  # else it is no tilt
-    a.slide[k] += gain * innovation - share * a.slide[k]
+    a.slide[k] += gain * innovation - span.time / _SLIDE_TIME * a.slide[k]
     if abs(a.slide[k]) > _FASTER_SLIDE + a.fastest:
         error = a.slide[k] / (_SLIDE_TIME * GRAVITY)
         a.covariance[k, k] = max(a.covariance[k, k], error * error)

@@ -49,6 +49,7 @@ def initialise_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants
     P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
     x[ROLL], x[PITCH] = roll, pitch
     a.noise[:], a.noise_count[:], a.known = _INITIAL_NOISE, 1.0, 1
+    a.slide[:], a.fastest = 0.0, 0.0
 
 
 @compiled
