@@ -36,7 +36,7 @@ def message_of(soil_input):
         message.x, message.y, message.heading = map(float, soil_input.pose.mean)
         message.pose_covariance = soil_input.pose.covariance.ravel()
         message.left_slip, message.right_slip, message.slip_angle = map(float, soil_input.slips)
-        message.attitude_covariance = np.full(9, -1.0)
+        message.attitude_covariance = np.diag((*soil_input.tilt_variance, 0.0)).ravel()
         message.swing = soil_input.swing
         is_known = np.isfinite(soil_input.swing_variance)
         message.swing_covariance = np.full(4, soil_input.swing_variance if is_known else -1.0)

@@ -159,7 +159,7 @@ def test_reset_keeps_learned_states_and_forget_drops_them(driven: list[Measureme
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -> None:
-    p = parameters(model=model)
+    p = parameters(model=model, **{"sources.box_pose.use_heading": model == "free_slips"})  # which needs it
     context, estimator = learned_context(p), SlipEstimator(p)
     estimator.process_all(driven)
     found = estimator.learned

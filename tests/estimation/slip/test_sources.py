@@ -54,7 +54,7 @@ def end_of(found: list[Measurement], **changes: Any) -> tuple[Any, list[Outcome]
 ANTENNA = {"sources.box_pose.lever_arm_x": LEVER[0], "sources.box_pose.lever_arm_y": LEVER[1]}
 
 
-@pytest.mark.parametrize(("model", "filter_"), [("turning", "ekf"), ("icr", "daf"), ("free_slips", "ekf")])
+@pytest.mark.parametrize(("model", "filter_"), [("turning", "ekf"), ("icr", "daf")])
 def test_antenna_off_centre_gives_the_pose_of_base_link(
     drive: Callable[..., Any], model: str, filter_: str
 ) -> None:

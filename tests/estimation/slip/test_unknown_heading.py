@@ -130,9 +130,10 @@ def test_a_machine_that_is_stuck_from_its_start_has_an_unknown_heading_until_it_
         ({"heading_sources": ["heading"]}, False),
         ({"sources.gnss_pose.use_heading": True}, False),
         ({"pose_sources": [""]}, False),  # nothing contradicts the start
+        ({"noise.slip_angle_steady": 0.0, "noise.slip_angle_turning": 0.0}, False),
         ({"model": "turning"}, False),
     ],
-    ids=["positions", "compass", "headings", "no fixes", "turning"],
+    ids=["positions", "compass", "headings", "no fixes", "constant slip angle", "turning"],
 )
 def test_free_slips_are_refused_where_nothing_measures_the_heading(
     changes: dict[str, object], is_refused: bool

@@ -193,11 +193,19 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
         if self.swings:
             above = ", ".join(topic for topic, source in self.mountable_sources().items() if source.above)
             fault = f"has no swing angle, and the upper structure carries {above}"
-        elif self.poses() and not self.compasses() and not any(p.use_heading for p in self.poses().values()):
+        elif self._has_free_slip_angle() and not self._measures_heading():
             fault = "cannot tell the slip angle from the heading, which no source measures"
         else:
             return
         raise InputError(f"{NODE}: model: 'free_slips' {fault}; accepted: turning, icr")
+
+    def _has_free_slip_angle(self) -> bool:
+        return max(self.noise.slip_angle_steady, self.noise.slip_angle_turning) > 0.0
+
+    def _measures_heading(self) -> bool:
+        """Whether a source measures the heading, or none measures positions that could contradict it."""
+        poses = self.poses().values()
+        return not poses or bool(self.compasses()) or any(pose.use_heading for pose in poses)
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
