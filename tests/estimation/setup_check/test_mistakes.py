@@ -378,6 +378,29 @@ def test_a_wrong_lever_arm_is_no_scale_of_the_gyro(lever: tuple[float, float], s
     assert cause.cause == "lever_arm"
 
 
+@pytest.mark.parametrize(
+    ("factors", "word", "is_wrong"),
+    [
+        ((1.0 / 9.81, 1.0 / 9.81, 1.0 / 9.81), "(g)", False),
+        ((102.0, 102.0, 102.0), "(mg)", False),
+        ((-1.0, -1.0, -1.0), "sign", False),
+        ((-1.0, -1.0, 1.0), "drive 10 m ahead: if both tracks count up", True),
+    ],
+    ids=["in g", "in mg", "inverted", "turned backwards"],
+)
+def test_accelerations_that_are_no_gravity_or_point_backwards_are_a_question(
+    factors: tuple[float, float, float], word: str, is_wrong: bool
+) -> None:
+    log = make_drive()
+    (gyro,) = log.gyros
+    changed = replace(gyro, accelerations=gyro.accelerations * factors)
+    result = check(replace(log, gyros=(changed,)))
+    assert result.causes == ()
+    (question,) = (one for one in result.undetermined if "imu/data_raw" in one.what)
+    assert word in question.needed
+    assert question.is_wrong == is_wrong
+
+
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_front_and_rear_exchanged_are_no_lever_arm_and_no_offset(*, has_heading: bool) -> None:
     log = make_drive(has_heading=has_heading, lever=(0.9, 0.5))

@@ -99,9 +99,14 @@ def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any
     return estimator.window.best[estimator.window.count - 1], outcomes
 
 
-@pytest.mark.parametrize(("filter_", "model"), [("daf", "turning"), ("ekf", "free_slips")])
 @pytest.mark.parametrize(
-    "changes", [{}, {"sources.box_pose.use_heading": False, "sources.box_pose.lever_arm_x": 0.4}]
+    ("filter_", "model", "changes"),
+    [
+        ("daf", "turning", {}),
+        ("daf", "turning", {"sources.box_pose.use_heading": False, "sources.box_pose.lever_arm_x": 0.4}),
+        ("ekf", "free_slips", {}),
+        ("ekf", "free_slips", {"sources.box_pose.lever_arm_x": 0.4}),
+    ],
 )
 def test_log_run_ends_in_the_state_of_the_estimator(
     drive: Callable[..., Any], model: str, filter_: str, changes: dict[str, Any]

@@ -19,7 +19,6 @@ from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import (
     LEAST_LOG,
     PRIOR,
-    READ_OFF,
     Cause,
     Finding,
     OpenQuestion,
@@ -29,7 +28,8 @@ from trackslip_estimation.setup_check.grid import increments, integral
 from trackslip_estimation.setup_check.inertial import force_at_rest
 from trackslip_estimation.setup_check.log import Array, ComplexArray, Gyro
 
-_UNITS = {"g": GRAVITY, "mg": 1e-3 * GRAVITY}  # m/s²
+_UNITS = {"g": GRAVITY, "mg": 1e-3 * GRAVITY, "m/s²": 1.0}  # m/s²
+_LEAST_GRAVITY = 0.5  # of any unit; less is none
 _NEAR = 0.2  # ln ratio up to which a size is that of gravity
 _STEP = 0.2  # s: starts and stops are longer
 _SLOW = 2.0  # s, length of the means that are taken off
@@ -51,28 +51,25 @@ class _Fit(NamedTuple):
 
 
 def judge_accelerations(drive: Drive) -> list[Finding]:
-    """A cause if gravity has another unit or sign, or starts and stops lie along another axis.
+    """Whether gravity shows in m/s² along z; then a cause if starts and stops lie along another axis than x.
 
-    The drive's signs are right, and its unit is not mounted upside down.
+    The drive's signs are right, and its unit is neither late nor mounted upside down. Accelerations without
+    gravity along z are not used by the estimator: that is a question, and no mistake.
     """
     gyro = drive.gyro
     force = None if gyro is None else force_at_rest(drive, gyro)
     if gyro is None or force is None:
         return []
     size = float(np.linalg.norm(force))
-    for name, factor in _UNITS.items():
-        if abs(math.log(max(size, 1e-9) * factor / GRAVITY)) < _NEAR:
-            evidence = f"its accelerations at standstill are {size:.3g}: gravity in {name}, not in m/s²"
-            remedy = f"State their unit in the mapping: {{unit: {name}}}; messages have m/s² (REP 145)"
-            return [Cause("acceleration_unit", gyro.name, evidence, READ_OFF, remedy)]
-    if abs(math.log(max(size, 1e-9) / GRAVITY)) > _NEAR:
-        what = f"tilt: accelerations of {gyro.name} at standstill are {size:.2g} m/s², without gravity"
-        return [OpenQuestion(what, "let its driver publish them with gravity (REP 145)")]
-    if force[2] < -0.8 * size:
-        evidence = f"gravity along z is {force[2]:.1f} m/s², though the unit turns as the tracks do"
-        remedy = "Invert its accelerations: scale: -1 in the mapping; at rest z shows +9.8 (REP 145)"
-        return [Cause("acceleration_sign", gyro.name, evidence, READ_OFF, remedy)]
-    return [] if gyro.is_above else _judge_direction(drive, gyro)
+    if abs(math.log(max(size, 1e-9) / GRAVITY)) < _NEAR and force[2] > 0.5 * size:
+        return [] if gyro.is_above else _judge_direction(drive, gyro)
+    values = ", ".join(f"{value:.3g}" for value in force)
+    what = f"tilt by {gyro.name}: its accelerations at standstill are {values}, not gravity along z in m/s²"
+    units = {abs(math.log(max(size, 1e-9) * factor / GRAVITY)): name for name, factor in _UNITS.items()}
+    needed = f"state their unit ({units[min(units)]}) or sign in the mapping"
+    if size < _LEAST_GRAVITY:
+        needed = "let its driver leave gravity in them"
+    return [OpenQuestion(what, f"{needed}; at rest z is 9.8 m/s² (REP 145)")]
 
 
 def _judge_direction(drive: Drive, gyro: Gyro) -> list[Finding]:
@@ -89,10 +86,10 @@ def _judge_direction(drive: Drive, gyro: Gyro) -> list[Finding]:
     yaw = quarters * _QUARTER if abs(yaw - quarters * _QUARTER) < _NEAR_QUARTER else yaw
     direction = f"{abs(math.degrees(yaw)):.0f}° to the {'left' if yaw > 0.0 else 'right'}"
     evidence = f"its x axis points {direction} of ahead, by the forces of starts and stops"
-    if drive.fixes is None and abs(quarters) == 2:
-        what = f"{gyro.name}: {evidence}, or the machine was recorded as driving backwards"
-        return [OpenQuestion(what, "drive ahead: both tracks must count up", is_wrong=True)]
     remedy = remedies.mounting(gyro, remedies.rotation(0.0, 0.0, yaw))
+    if abs(quarters) == 2:
+        what = f"{gyro.name}: {evidence}, or tracks swapped, and both counting backwards"
+        return [OpenQuestion(what, f"drive 10 m ahead: if both tracks count up, {remedy}", is_wrong=True)]
     if (fit.c * (1j * fit.b).conjugate()).real < -3.0 * math.sqrt(fit.turn_variance) * abs(fit.b):
         remedy = "Exchange x and y of its accelerations (and rates), or one of their signs: they are mirrored"
     return [Cause("imu_mounting", gyro.name, evidence, odds_of(log_ratio), remedy)]

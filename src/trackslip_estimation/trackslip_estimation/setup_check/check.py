@@ -121,8 +121,9 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     corrected = directions.correct_signs(comparison.drive)
     if directions.is_decided:
         findings.add(judge_pressures(corrected))
-        findings.add([] if findings.has_cause("imu_mounting") else judge_accelerations(corrected))
         _judge_continuous(corrected, unit, gyro_result.unit, findings)
+        is_examined = findings.has_cause("imu_mounting") or findings.has_cause("source_delay")
+        findings.add([] if is_examined else judge_accelerations(corrected))
     return summary_lines(log, corrected, unit)
 
 
