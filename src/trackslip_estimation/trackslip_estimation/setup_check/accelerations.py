@@ -108,8 +108,8 @@ def _fit_forces(drive: Drive) -> _Fit | None:
     step = float(edges[1] - edges[0])
     count = (len(edges) - 1) * each
     speed, turn = (
-        values[:count].reshape(-1, each).sum(axis=1) / step
-        for values in (grid.tracks.mean(axis=1), np.nan_to_num(drive.gyro_turn))
+        np.nan_to_num(values[:count]).reshape(-1, each).sum(axis=1) / step
+        for values in (grid.tracks.mean(axis=1), drive.gyro_turn)
     )
     t = gyro.t[is_finite]
     forces = increments(t, integral(t, gyro.accelerations[is_finite, :2]), edges) / step
