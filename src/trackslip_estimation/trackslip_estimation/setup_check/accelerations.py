@@ -136,10 +136,13 @@ def _fit_at_lag(motion: FloatArray, f: ComplexArray, lag: int) -> _Fit | None:
     blocks = len(m) // _BLOCK
     if blocks < _LEAST_BLOCKS:
         return None
-    parts = [slice(k * _BLOCK, (k + 1) * _BLOCK) for k in range(blocks)]
+    parts = np.array_split(np.arange(len(m)), blocks)
     products = np.array([m[p].T @ m[p] for p in parts])
     sums = np.array([m[p].T @ g[p] for p in parts])
-    total = products.sum(axis=0) + 1e-9 * np.trace(products.sum(axis=0)) * np.eye(2)
+    total = products.sum(axis=0)
+    if not np.trace(total) > 0.0:
+        return None
+    total = total + 1e-9 * np.trace(total) * np.eye(2)
     whole = np.linalg.solve(total, sums.sum(axis=0))
     rests = zip(total - products, sums.sum(axis=0) - sums, strict=True)
     left_out = np.array([np.linalg.solve(*rest) for rest in rests])
