@@ -15,7 +15,7 @@ from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Fi
 from trackslip_estimation.setup_check.heading import window_displacements
 
 _LEAST_WINDOWS = 20
-_MOST_REST, _LEAST_REST = 0.1, 0.05  # shares of s² that d · a, and |d|, leave
+_MOST_REST, _LEAST_REST = 0.1, 0.03  # shares of s² that d · a, and |d|, leave
 _LEAST_GAIN = 3.0  # the rest of |d| over that of d · a: drives on one line, with pauses, leave both
 _INDEPENDENT = 4  # windows of which the errors are one
 _STDDEVS = 3.0  # of the fixes, by which a displacement exceeds their noise
