@@ -136,7 +136,7 @@ def _has(log: Log, mistake: Mistake) -> bool:
     """Whether the log has the columns that the mistake changes."""
     if mistake.needs == "heading":
         return bool(log.compasses)
-    if mistake.needs in ("rates", "gravity"):
+    if mistake.needs in ("rates", "gravity", "starts"):
         return bool(np.isfinite(log.gyros[0].rates).all())
     return True
 
