@@ -134,7 +134,7 @@ ROBOTS = ("marmotte", "warthog", "mower", "mower_gnss")
 
 def _has(log: Log, mistake: Mistake) -> bool:
     """Whether the log has the columns that the mistake changes."""
-    if mistake.needs == "heading":
+    if mistake.needs in ("heading", "courses"):
         return bool(log.compasses)
     if mistake.needs in ("rates", "gravity", "starts"):
         return bool(np.isfinite(log.gyros[0].rates).all())

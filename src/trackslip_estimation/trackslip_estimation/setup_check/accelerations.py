@@ -113,7 +113,7 @@ def _fit_forces(drive: Drive) -> _Fit | None:
     )
     t = gyro.t[is_finite]
     forces = increments(t, integral(t, gyro.accelerations[is_finite, :2]), edges) / step
-    f = _without_slow(forces[:, 0] + 1j * forces[:, 1], step)
+    f: ComplexArray = _without_slow(np.asarray(forces @ np.array((1.0, 1.0j))), step)
     motion = np.column_stack([_without_slow(m, step) for m in (np.gradient(speed, step), speed * turn)])
     if float(np.sqrt(np.mean(motion[:, 0] ** 2))) < _LEAST_ACCELERATION:
         return None
