@@ -25,7 +25,7 @@ from trackslip_estimation.soil.pressure_watch import (
 )
 
 _LEAST_TIME = 10.0  # s of driving with pressures
-_LEAST_SHARE = 0.5  # of this time with one fault; a slope brakes the motors on one way only
+_LEAST_SHARE = 0.5  # of this time with one fault; a slope brakes the motors in one direction only
 _LEVEL = 0.1  # rad, largest tilt of level ground: accelerations of the machine add to it
 _OF_SIDE = "Bind the sensor of this side as it is: signal, unit and sign in the roles or the mapping file"
 _UNIT = "State the unit of the pressures in the roles or the mapping file: {unit: bar}; messages have Pa"
@@ -63,6 +63,7 @@ def _fault_times(drive: Drive, pressures: Pressures) -> tuple[dict[PressureFault
     """Seconds of driving with each fault, and all seconds of driving with pressures."""
     grid, radius = drive.grid, drive.machine.radius
     is_covered = grid.is_driven & covered_cells(pressures.t, grid.edges)
+    is_covered &= np.isfinite(grid.tracks).all(axis=1)
     middle = (grid.edges[1:] + grid.edges[:-1]) / 2.0
     newest = pressures.values[np.searchsorted(pressures.t, middle, side="right") - 1]
     watch = make_table(PressureWatch, dtype_of(PressureWatch), 1)[0]
