@@ -13,6 +13,9 @@ from trackslip_bags.reader import open_bag
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.records import HYDRAULICS
+from trackslip_sim.machine.excavator import simulate_drive
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.check.bag import check_bag
 from trackslip_tools.cli.main import main
 
@@ -69,3 +72,12 @@ def test_wrong_pressures_are_a_named_cause(cause: str, emulated_bag: Path, tmp_p
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in BAGS.glob("*/metadata.yaml")))
 def test_pressures_of_healthy_drives_are_no_cause(name: str) -> None:
     assert not [found for found in result_of(BAGS / name).causes if found.source == HYDRAULICS]
+
+
+@pytest.mark.parametrize("terrain", ["slope_down_15", "side_slope_15"])
+def test_motors_that_brake_on_a_slope_are_no_cause(terrain: str, tmp_path: Path) -> None:
+    """Dry clay resists with a tenth of the weight: down the slope the motors brake for half of the drive."""
+    changes = {"scenario": "field_trial", "terrain": terrain, "soil": "dry_clay", "seed": 1}
+    p = load_emulator_parameters(changes)
+    record_drive(p, simulate_drive(p), tmp_path / "bag")
+    assert not [found for found in result_of(tmp_path / "bag").causes if found.source == HYDRAULICS]
