@@ -676,6 +676,15 @@ def test_places_that_scatter_far_more_than_they_state_are_named(stddev: float, e
     assert names_of(with_stddev(drive(), stddev)) == expected
 
 
+def test_fixes_while_the_tracks_are_not_recorded_do_not_scatter() -> None:
+    """Encoders that are switched on after two thirds of a drive do not stand before."""
+    log = with_stddev(drive(), 0.004)
+    tracks, late = log.tracks, log.tracks.t > 0.66 * log.tracks.t[-1]
+    assert late.any()
+    recorded = Tracks(tracks.t[late], tracks.speeds[late], tracks.angles[late])
+    assert "position_noise" not in names_of(replace(log, tracks=recorded))
+
+
 @pytest.mark.parametrize("has_gyro", [True, False])
 @pytest.mark.parametrize(("axis", "name"), [(0, "x"), (1, "y")])
 def test_a_coordinate_that_never_changes_is_named(axis: int, name: str, *, has_gyro: bool) -> None:

@@ -21,7 +21,7 @@ from trackslip_estimation.setup_check.finding import (
     odds_of,
 )
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
-from trackslip_estimation.setup_check.grid import WINDOW, running_sum
+from trackslip_estimation.setup_check.grid import WINDOW, covered_cells, running_sum
 from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrap_angles
 from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, Tracks, group_of
 from trackslip_estimation.setup_check.path import Path, thin_fixes
@@ -266,11 +266,14 @@ def judge_scatter(fixes: Sequence[Fixes], tracks: Tracks) -> list[Finding]:
     """Places that scatter far more at standstill of the tracks than their stated standard deviation."""
     causes: list[Finding] = []
     for source in fixes:
+        if source.is_above or min(len(source.t), len(tracks.t)) <= _LEAST_STILL:
+            continue
         angles = np.column_stack([np.interp(source.t, tracks.t, side) for side in tracks.angles.T])
-        is_still = (np.diff(angles, axis=0) == 0.0).all(axis=1) & np.isfinite(np.diff(source.complex_places))
-        steps = np.abs(np.diff(source.complex_places))[is_still]
+        steps = np.abs(np.diff(source.complex_places))
+        is_still = (np.diff(angles, axis=0) == 0.0).all(axis=1) & covered_cells(tracks.t, source.t)
+        steps = steps[is_still & np.isfinite(steps)]
         scatter = float(np.median(steps)) / _MEDIAN_STEP if len(steps) >= _LEAST_STILL else 0.0
-        if source.is_above or scatter <= _LEAST_SCATTER_RATIO * source.noise:
+        if scatter <= _LEAST_SCATTER_RATIO * source.noise:
             continue
         evidence = (
             f"its places scatter by {scatter:.2g} m at standstill, and state a standard deviation of "
