@@ -109,7 +109,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             )
             problem = ambiguous or self._missing_topics_message()
             if problem and entries[0].level in (OK, WARN):
-                entries[0] = replace(entries[0], level=WARN, message=f"running; {problem}")
+                entries[0] = replace(entries[0], level=WARN, message=f"{entries[0].message}; {problem}")
         return entries
 
     def _missing_topics_message(self) -> str:
