@@ -213,17 +213,16 @@ class BagWriter:
         Raises:
             InputError: the disk is full or gone.
         """
-        failed = error
         try:
-            if failed is None:
+            if error is None:
                 self.close()
         except OSError as at_the_end:
-            failed = at_the_end
-        if failed is not None:
+            error = at_the_end
+        if error is not None:
             self.abandon()
             self._remove_directory()
-        if isinstance(failed, OSError):
-            raise InputError(f"bag '{self.path}' cannot be written ({failed.strerror})") from failed
+        if isinstance(error, OSError):
+            raise InputError(f"bag '{self.path}' cannot be written ({error.strerror})") from error
 
     def _remove_directory(self) -> None:
         """Remove the directory, which was created here, with its content."""

@@ -74,7 +74,7 @@ def judge_accelerations(drive: Drive) -> list[Finding]:
 
 def _judge_direction(drive: Drive, gyro: Gyro) -> list[Finding]:
     """A cause if the x axis does not point ahead."""
-    fit = _fit_forces(drive)
+    fit = _fit_forces(drive, gyro)
     if fit is None:
         return []
     yaw = -float(np.angle(fit.b))
@@ -95,11 +95,9 @@ def _judge_direction(drive: Drive, gyro: Gyro) -> list[Finding]:
     return [Cause("imu_mounting", gyro.name, evidence, odds_of(log_ratio), remedy)]
 
 
-def _fit_forces(drive: Drive) -> _Fit | None:
+def _fit_forces(drive: Drive, gyro: Gyro) -> _Fit | None:
     """The fit at the lag with the largest b; None where the machine hardly starts and stops."""
-    grid, gyro = drive.grid, drive.gyro
-    if gyro is None:
-        return None
+    grid = drive.grid
     is_finite = np.isfinite(gyro.accelerations[:, :2]).all(axis=1)
     each = max(round(_STEP / grid.cell), 1)
     edges = grid.edges[::each]

@@ -122,8 +122,8 @@ def _run_steps(log: Log, findings: Findings) -> list[str]:
     if directions.is_decided:
         findings.add(judge_pressures(corrected))
         _judge_continuous(corrected, unit, gyro_result.unit, findings)
-        is_examined = findings.has_cause("imu_mounting") or findings.has_cause("source_delay")
-        findings.add([] if is_examined else judge_accelerations(corrected))
+        if not (findings.has_cause("imu_mounting") or findings.has_cause("source_delay")):
+            findings.add(judge_accelerations(corrected))
     return summary_lines(log, corrected, unit)
 
 

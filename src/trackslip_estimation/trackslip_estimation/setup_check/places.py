@@ -252,13 +252,9 @@ def judge_digits(fixes: Sequence[Fixes]) -> list[Finding]:
         )
         if rounding <= LEAST_ROUNDING_RATIO * source.noise:
             continue
-        evidence = (
-            f"its places are rounded by {rounding:.2g} m, and state a standard deviation of "
-            f"{source.noise:.2g} m"
-        )
-        floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{rounding:.2g}"))
-        remedy = f"Record {MORE_DIGITS}, or set {floor}"
-        causes.append(Cause("position_resolution", source.name, evidence, READ_OFF, remedy))
+        fault = f"are rounded by {rounding:.2g} m"
+        remedy = f"Record {MORE_DIGITS}"
+        causes.append(_overstated_cause("position_resolution", source, fault, remedy, rounding))
     return causes
 
 
@@ -275,14 +271,17 @@ def judge_scatter(fixes: Sequence[Fixes], tracks: Tracks) -> list[Finding]:
         scatter = float(np.median(steps)) / _MEDIAN_STEP if len(steps) >= _LEAST_STILL else 0.0
         if scatter <= _LEAST_SCATTER_RATIO * source.noise:
             continue
-        evidence = (
-            f"its places scatter by {scatter:.2g} m at standstill, and state a standard deviation of "
-            f"{source.noise:.2g} m"
-        )
-        floor = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{scatter:.2g}"))
-        remedy = f"State stddev: {{x: {scatter:.2g}, y: {scatter:.2g}}} in the mapping, or set {floor}"
-        causes.append(Cause("position_noise", source.name, evidence, READ_OFF, remedy))
+        fault = f"scatter by {scatter:.2g} m at standstill"
+        remedy = f"State stddev: {{x: {scatter:.2g}, y: {scatter:.2g}}} in the mapping"
+        causes.append(_overstated_cause("position_noise", source, fault, remedy, scatter))
     return causes
+
+
+def _overstated_cause(name: str, source: Fixes, fault: str, remedy: str, floor: float) -> Cause:
+    """The cause of places that are less precise than stated; a ``floor``, m, is the other remedy."""
+    evidence = f"its places {fault}, and state a standard deviation of {source.noise:.2g} m"
+    setting = remedies.parameter(f"{group_of(source.name)}.position_floor", float(f"{floor:.2g}"))
+    return Cause(name, source.name, evidence, READ_OFF, f"{remedy}, or set {setting}")
 
 
 def drop_held(fixes: Sequence[Fixes]) -> tuple[tuple[Fixes, ...], list[Cause]]:
