@@ -110,6 +110,8 @@ def add_child(
         window.pool_states[h] = window.states[p, k - 1]
         branch.weight = before.weight + log_prior
     branch.first, branch.fresh = first, 1
+    if event in (TURNED, BIASED):
+        branch.course = 0.0
     value = _event_value(window, p, k, event, source, since, c)
     e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
     update.event = event
@@ -127,6 +129,7 @@ def add_sector_event(
     step, explained = window.measurements[first], window.measurements[k]
     e = record_event(window.pool_branches[h], TURNED, source, part, 0.0, explained, step, after)
     window.pool_updates[h].reset_states |= apply_event(window.pool_states[h], e, c)
+    window.pool_branches[h].course = 0.0
 
 
 @compiled

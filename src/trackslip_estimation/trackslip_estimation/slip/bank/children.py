@@ -16,6 +16,7 @@ from trackslip_estimation.slip.bank.child import (
     log_measurement_interval,
     squared_jump,
 )
+from trackslip_estimation.slip.bank.course import update_course
 from trackslip_estimation.slip.bank.earlier_children import (
     are_track_speeds_measured,
     correlated_penalty,
@@ -108,6 +109,8 @@ def create_children(window: Window, k: int, c: Config) -> int:
     count = window.counts[k]
     for s in range(count):
         _subtract_fault_costs(window, s, k, c)
+        if window.measurements[k].kind == POSE:
+            update_course(window, s, k, c)
     needs_children = [_needs_children(window, s, k, c) for s in range(count)]
     if count == 1 and not needs_children[0]:
         return 1

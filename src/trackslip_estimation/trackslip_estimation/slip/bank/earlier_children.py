@@ -15,6 +15,7 @@ from trackslip_estimation.slip.bank.child import (
     distance_since_snapshot,
     log_time_since_snapshot,
 )
+from trackslip_estimation.slip.bank.course import log_odds_against_turn
 from trackslip_estimation.slip.bank.plausibility import is_stuck
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _LOG_SECTORS = math.log(HEADINGS)
+_IMPOSSIBLE = 30.0  # ln of the odds against another heading, beyond which no other one is tried
 _FARTHER_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
 _FARTHER_STDDEVS = 3.0  # standard deviations of that displacement, beyond which it is longer
 
@@ -129,7 +131,9 @@ def make_sector_children(
         cost = window.branches[p, k - 1].slip_cost if before.mean[COMMON_SLIP] > 1.0 else 0.0
         for part in range(HEADINGS):  # the reversed machine has not had the slip that cost the parent
             log_prior = max(prior, min(prior + cost, 0.0)) if part == REVERSED else prior
-            add_child(window, p, k, TURNED, source, part, True, log_prior, c)
+            against = log_odds_against_turn(window.branches[p, k - 1], part)
+            if against < _IMPOSSIBLE:
+                add_child(window, p, k, TURNED, source, part, True, log_prior - against, c)
 
 
 @compiled
@@ -140,10 +144,11 @@ def make_recovered_sector_children(window: Window, p: int, k: int, c: Config) ->
     """
     source, is_unknown = window.measurements[k].source, is_heading_unknown(window.states[p, k - 1])
     for part in range(HEADINGS):
-        if not (is_unknown or part == REVERSED):
+        against = log_odds_against_turn(window.branches[p, k - 1], part)
+        if not (is_unknown or part == REVERSED) or against >= _IMPOSSIBLE:
             continue
         count = window.status[0].pooled
-        add_child_since_snapshot(window, p, k, RECOVERED, TRACKS, 0, -_LOG_SECTORS, c)
+        add_child_since_snapshot(window, p, k, RECOVERED, TRACKS, 0, -_LOG_SECTORS - against, c)
         if window.status[0].pooled > count:
             add_sector_event(window, count, source, part, k, window.pool_branches[count].first, 0, c)
 

@@ -48,6 +48,13 @@ def is_stuck(state: State, c: Config) -> bool:
 
 
 @compiled
+def is_gripping(state: State, c: Config) -> bool:
+    """Whether a branch assumes that the tracks grip: i₀ is in its range and nearer to 0 than to 1."""
+    is_usual = has_velocity_errors(c) and state.mean[COMMON_SLIP] < 2.0 * c.events.slip_stddev
+    return bool(is_usual and state.mean[COMMON_SLIP] > c.bank.least_slip)
+
+
+@compiled
 def implausibility(state: State, c: Config) -> float:
     """Reduction of ln of a branch's weight for the motion that it assumes."""
     if not has_velocity_errors(c):

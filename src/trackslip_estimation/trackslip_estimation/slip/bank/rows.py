@@ -140,7 +140,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
     copy_error_models(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
     branch.weight, branch.events, branch.fresh = 0.0, 0, 0
-    branch.cusum[:], branch.slip_cost = 0.0, 0.0
+    branch.cusum[:], branch.slip_cost, branch.course, branch.course_from[:] = 0.0, 0.0, 0.0, 0.0
     _reset_snapshots(window, 0, k)
 
 

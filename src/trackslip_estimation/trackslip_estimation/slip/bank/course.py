@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""How strongly earlier fixes confirm the heading of a branch, while a gyro carries it; compiled.
+
+    d    predicted displacement between two fixes                                   m
+    ν    innovation of the later fix, z = d + ν: measured displacement              m
+    S    variance of the innovation, by axis                                        m²
+    q    Σ d·z/S, at least 0                                                        1
+    θ    angle by which another explanation turns the heading                       rad
+
+A heading that differs by ±θ predicts a displacement R(±θ) d. So ln of the odds against it grows at each fix
+by (|z − R d|² − |z − d|²)/2S = (1 − cos θ) d·z/S, on average over both signs; an outlier counts like ν of
+``cusum_largest`` standard deviations. Fixes confirm a heading only while the tracks grip: with a slip of 1 or
+more they may move the machine in any direction. A gyro on the undercarriage measures all turns since: what
+confirmed the heading before still holds. Without its readings q is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.bank.event_effects import sector_angle
+from trackslip_estimation.slip.bank.plausibility import is_gripping
+from trackslip_estimation.slip.bank.pool import update_of
+from trackslip_estimation.slip.levers import is_heading_unknown
+from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.records import GYROS, MOST_SOURCES
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, has_failed_unit, is_displacement_measured
+from trackslip_estimation.slip.window import Window
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import Branch, State
+
+
+@compiled
+def update_course(window: Window, s: int, k: int, c: Config) -> None:
+    """Add fix k to q of branch s, where the branch predicts displacements by tracks and gyro."""
+    branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
+    east = state.displacement[X] - branch.course_from[X]
+    north = state.displacement[Y] - branch.course_from[Y]
+    branch.course_from[:] = state.displacement
+    if state.is_sector or is_heading_unknown(state) or not _is_heading_carried(state, c):
+        branch.course = 0.0
+    elif _is_course_measured(state, window.measurements[k].source, c):
+        P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+        variance = update.stated * update.stated + (P[X, X] + P[Y, Y]) / 2.0
+        ahead, left = cos * east + sin * north, cos * north - sin * east
+        e, most = update.whitened, c.bank.cusum_largest
+        innovation = ahead * min(max(e[0], -most), most) + left * min(max(e[1], -most), most)
+        confirmed = (east * east + north * north) / variance + innovation / math.sqrt(variance)
+        branch.course = max(branch.course + confirmed, 0.0)
+
+
+@compiled
+def _is_course_measured(state: State, source: int, c: Config) -> bool:
+    """Whether fixes of a source measure displacements, and the tracks determine their direction."""
+    is_sound = is_displacement_measured(state.fault[source]) and not has_failed_unit(state)
+    return bool(is_sound and is_gripping(state, c))
+
+
+@compiled
+def _is_heading_carried(state: State, c: Config) -> bool:
+    """Whether a gyro on the undercarriage measures the yaw rate."""
+    for source in range(MOST_SOURCES):
+        silent_ns = state.stamp_ns - state.consistent_ns[source]
+        if c.carries_heading[source] == 1 and silent_ns < c.sprocket_timeout_ns:
+            return bool(state.fault[GYROS] == IS_HEALTHY)
+    return False
+
+
+@compiled
+def log_odds_against_turn(branch: Branch, part: int) -> float:
+    """ln of the odds of the heading against one in sector ``part`` from it; in its own: σ of it off."""
+    angle, variance = sector_angle(part)
+    return (1.0 - math.cos(angle if part > 0 else math.sqrt(variance))) * float(branch.course)
