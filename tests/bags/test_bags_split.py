@@ -11,7 +11,9 @@ import yaml
 from fixtures.made_bags import IMU, MS, TEXT, imu, text
 from mcap.reader import make_reader
 
+from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import open_bag
+from trackslip_bags.tables import read_tables
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 
@@ -55,6 +57,18 @@ def test_files_of_a_split_bag_span_the_configured_duration_and_are_read_as_one(t
             (k, "ros2msg") for k in (TEXT, IMU)
         }
     assert alone == expected
+
+
+def test_files_are_read_in_the_order_recorded_whatever_the_metadata_list(tmp_path: Path) -> None:
+    path = write_two(tmp_path / "run", 1050, duration=1.0) / METADATA
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    tree["rosbag2_bagfile_information"]["relative_file_paths"].sort()  # run_10 before run_2
+    path.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    with open_bag(path.parent) as bag:
+        assert [file.name for file in bag.files] == [f"run_{k}.mcap" for k in range(11)]
+        times = [message.log_time_ns for message in bag.messages()]
+        assert times == sorted(times)
+        assert all(stretch.passed_twice is None for stretch in read_tables(bag, ["/imu"]))
 
 
 def test_a_large_file_is_followed_by_another(tmp_path: Path) -> None:

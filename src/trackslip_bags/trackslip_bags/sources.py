@@ -130,9 +130,12 @@ def _mcap_files(reader: Reader) -> tuple[Path, ...]:
 
 
 def _storages(reader: Reader) -> list[Any]:
-    """The storage of each file of an open bag."""
+    """The storage of each file of an open bag, in the order recorded: metadata.yaml may list another."""
     storage = reader.storage
-    return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
+    if not isinstance(storage, DirectoryReader):
+        return [storage]
+    storages: list[Any] = list(storage.storages)
+    return sorted(storages, key=lambda one: _split_number(Path(str(one.path))))
 
 
 class SalvagedFile:
@@ -175,12 +178,17 @@ def bag_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     files = [file for suffix in SUFFIXES for file in path.glob(f"*{suffix}") if file.is_file()]
-    numbered = [(file.name.removesuffix(PACKED).rpartition("_")[2], file) for file in files]
     distinct: dict[tuple[int, int], Path] = {}
-    for _, file in sorted(numbered, key=lambda item: (len(item[0]), item)):
+    for file in sorted(files, key=_split_number):
         status = file.stat()
         distinct.setdefault((status.st_dev, status.st_ino), file)  # read a file with several links once
     return list(distinct.values())
+
+
+def _split_number(path: Path) -> tuple[int, str, str]:
+    """Sort key of the files of a bag, in the order recorded."""
+    number = path.name.removesuffix(PACKED).rpartition("_")[2]
+    return len(number), number, path.name
 
 
 def begins_with(path: Path, magic: bytes) -> bool:
