@@ -219,6 +219,12 @@ def test_missing_topics_are_named_with_those_present(tmp_path: Path) -> None:
             require_topics(bag, {"sprockets", "silent", "/a"})
 
 
+def test_missing_topic_is_named_with_the_namespaces_that_have_it(tmp_path: Path) -> None:
+    bag = write_messages(tmp_path / "bag", [(f"/{name}/sprockets", TEXT, 1, text("")) for name in "ab"])
+    with open_bag(bag) as opened, pytest.raises(InputError, match=r"a, b \(--namespace a\)"):
+        require_topics(opened, ["sprockets"])
+
+
 @pytest.mark.parametrize("name", ["/sprockets", f"/{'a_long_name/' * 5}sprockets"])
 def test_the_description_names_every_topic_and_fits_a_terminal(name: str, tmp_path: Path) -> None:
     """The type name is the longest of ours, and the topic has 12 letters."""

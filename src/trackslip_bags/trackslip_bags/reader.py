@@ -224,9 +224,13 @@ def require_topics(bag: Bag, required: Iterable[str]) -> None:
     present = {absolute_name(topic) for topic, info in bag.topics.items() if info.count}
     missing = sorted(absolute_name(topic) for topic in required if absolute_name(topic) not in present)
     if missing:
-        there = (
-            did_you_mean(missing[0], present) or f"; it holds: {joined_names(sorted(present)) or 'nothing'}"
-        )
+        namespaces = sorted(name.removesuffix(missing[0]) for name in present if name.endswith(missing[0]))
+        if namespaces:
+            inside = joined_names(name.strip("/") for name in namespaces)
+            there = f"; namespaces with it: {inside} (--namespace {namespaces[0].strip('/')})"
+        else:
+            there = did_you_mean(missing[0], present)
+            there = there or f"; it holds: {joined_names(sorted(present)) or 'nothing'}"
         raise InputError(f"bag '{bag.path}' has no messages on {', '.join(missing)}{there}")
 
 
