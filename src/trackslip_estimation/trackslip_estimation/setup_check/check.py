@@ -142,7 +142,10 @@ def _correct_quantities(log: Log, findings: Findings) -> tuple[Log, Drive]:
 
 def _unusable_cause(name: str, count: int) -> Cause:
     evidence = f"none of {count} readings of {name} is valid: values not finite, or variances not above 0"
-    remedy = "Let its driver state values and covariance; of a log, trackslip import takes stddev: {x: …}"
+    remedy = (
+        "Let its driver state values and covariance; of a log, trackslip import takes stddev: {x: …}; "
+        "of poses without headings, use_heading: false"
+    )
     return Cause("invalid_readings", name, evidence, READ_OFF, remedy)
 
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import BoolArray, FloatArray, Rows
 from trackslip_estimation.setup_check.clocks import LARGEST_DELAY
 from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
@@ -103,13 +103,16 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
     per_stamp: dict[str, float] = {}
     unusable: dict[str, int] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
+    with_headings = {name for name, pose in p.poses().items() if pose.use_heading}
     for key, (stamps, values) in columns.items():
-        t, readings, count = _valid_readings(stamps, _mask_unmeasured(key[0], values), start, key[0])
+        has_variances = _has_variances(key[0], values, 3 if key[1] in with_headings else 2)
+        stamps, values = stamps[has_variances], _mask_unmeasured(key[0], values[has_variances])
+        t, readings, count = _valid_readings(stamps, values, start, key[0])
         if len(t):
             ready[key] = t, readings
             per_stamp[key[1]] = count / len(t)
         else:
-            unusable[key[1]] = len(stamps)
+            unusable[key[1]] = len(has_variances)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
     return replace(_make_log(ready, p), per_stamp=per_stamp, unusable=unusable)
@@ -140,6 +143,14 @@ def _mask_unmeasured(kind: int, values: FloatArray) -> FloatArray:
     return values
 
 
+def _has_variances(kind: int, values: FloatArray, rows: int) -> BoolArray:
+    """(n,) whether the variances of the first ``rows`` values of a pose are above 0; other kinds: true."""
+    result: BoolArray = np.ones(len(values), np.bool_)
+    if kind == POSE:
+        result &= (values[:, 3 : 3 + rows] > 0.0).all(axis=1)
+    return result
+
+
 _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEADING: slice(0, 1)}
 
 
@@ -148,14 +159,13 @@ def _valid_readings(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Times (n,), s, ascending, and the first valid values at each; the number of readings, copies apart.
 
-    A reading is valid if its needed values are numbers, the variances of a place are above 0, and its stamp
-    is on the clock of most.
+    A reading is valid if its needed values are numbers and its stamp is on the clock of most.
     """
+    if not len(stamps):
+        return np.empty(0), values, 0
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         is_valid = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
-        if kind == POSE:
-            is_valid &= (values[:, 3:5] > 0.0).all(axis=1)
     is_valid &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
     stamps, values = stamps[is_valid], values[is_valid]
     t, first = np.unique((stamps - start_ns) * 1e-9, return_index=True)
