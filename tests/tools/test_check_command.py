@@ -157,6 +157,29 @@ def test_a_source_without_a_valid_reading_is_not_plausible(topic: str, healthy: 
     assert topic.strip("/") in found[0]
 
 
+def test_joints_of_other_names_are_named(healthy: Path, tmp_path: Path) -> None:
+    def rename(_: int, message: Any) -> Any:
+        message.name = ["left_wheel", "right_wheel"]
+        return message
+
+    bag = write_changed(tmp_path / "bag", healthy, "/sprockets", rename)
+    (question,) = json_of(tmp_path, "check", bag, code=ExitCode.FAILED)["undetermined"]
+    assert "left_wheel, right_wheel" in question["what"]
+
+
+def test_headings_in_use_without_variance_are_not_plausible(healthy: Path, tmp_path: Path) -> None:
+    def without_heading(_: int, message: Any) -> Any:
+        message.pose.covariance = np.where(np.arange(36) == 35, 0.0, message.pose.covariance)
+        return message
+
+    bag = write_changed(tmp_path / "bag", healthy, "/gnss_pose", without_heading)
+    setting = "slip_estimator.sources.gnss_pose.use_heading"
+    for is_used, code in ((False, ExitCode.DONE), (True, ExitCode.FAILED)):
+        causes = json_of(tmp_path, "check", bag, "--set", f"{setting}={is_used}".lower(), code=code)["causes"]
+        found = [cause["source"] for cause in causes if cause["cause"] == "invalid_readings"]
+        assert found == ["gnss_pose"] * is_used
+
+
 def test_a_clock_that_is_set_back_while_it_records_is_named(healthy: Path, tmp_path: Path) -> None:
     with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
         middle_ns = (bag.start_ns + bag.end_ns) // 2

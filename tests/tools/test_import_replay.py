@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 import yaml
 from fixtures.commands import json_of
+from fixtures.made_bags import write_messages
 from fixtures.robot_logs import EPOCH_NS, Gnss, drive, write_gnss_csv, write_ros1, write_ros2
 
 from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.tally import Tally
+from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
@@ -201,6 +204,16 @@ def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) 
     processed = ProcessingCounts(Counter(input_counts), rejected)
     with open_bag(bag) as opened:
         assert explain_missing_estimate(opened, p, InputFilters(), processed) == reason
+
+
+def test_fixes_of_other_types_are_named_where_no_fix_came(tmp_path: Path) -> None:
+    written = ("vo", "odometry", "truth/odometry", "fix")
+    types = {name: TOPICS.get(name, TOPICS["odometry"]).type_name for name in written}
+    messages = ((f"/{name}", kind, 1, serialize(make(kind))) for name, kind in types.items())
+    processed = ProcessingCounts(Counter({"sprockets": 9}), Tally())
+    with open_bag(write_messages(tmp_path / "bag", messages)) as bag:
+        reason = explain_missing_estimate(bag, load_slip_parameters({}), InputFilters(), processed)
+    assert "trackslip import makes fixes of fix, vo" in reason
 
 
 def test_heading_never_found_fails(

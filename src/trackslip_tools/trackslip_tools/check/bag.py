@@ -8,6 +8,8 @@ from dataclasses import replace
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
+from trackslip_common.errors import joined_names
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion, Result, odds_text
@@ -15,14 +17,9 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Rejection
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_tools.replay.inputs import Batch, InputStream
+from trackslip_tools.replay.inputs import SPROCKETS, Batch, InputStream
 from trackslip_tools.terminal_text import table, wrap_line
 
-NO_SPROCKETS = OpenQuestion(
-    "everything: there is no valid speed of the sprockets",
-    "record the topic sprockets, with the joints and the velocities that docs/topics.md names",
-    is_wrong=True,
-)
 _SET_BACK_NS = 1_000_000_000  # by less, messages of several threads are out of order
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
@@ -58,8 +55,23 @@ def check_bag(
 def check_collected(collector: Collector, stream: InputStream) -> Result:
     """Result of the check over the collected measurements, and of sources whose messages become none."""
     log = collector.log()
-    result = Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
+    result = Result(undetermined=(_no_sprockets(stream),)) if log is None else check(log)
     return replace(result, causes=(*result.causes, *_invalid_sources(stream), *_recorder_set_back(stream)))
+
+
+def _no_sprockets(stream: InputStream) -> OpenQuestion:
+    """The question that no drive without speeds decides, with what the first message of the sprockets has."""
+    message = stream.first_message(SPROCKETS)
+    found = ""
+    if message is not None:
+        counts = f"velocities: {len(message.velocity)}, positions: {len(message.position)}"
+        found = f" (joints {joined_names(message.name) or 'without names'}; {counts})"
+    return OpenQuestion(
+        f"everything: there is no valid speed of the sprockets{found}",
+        f"record the topic sprockets with the velocities of {LEFT_SPROCKET} and {RIGHT_SPROCKET} in each "
+        "message; trackslip import makes it of other joints, or of positions (docs/import.md)",
+        is_wrong=True,
+    )
 
 
 def _invalid_sources(stream: InputStream) -> list[Cause]:
@@ -117,7 +129,8 @@ def setup_report(result: Result) -> str:
         ]
     else:
         parts.append(setup_summary(result))
-    if result.undetermined:
-        lines = [f"  {one.what}: {one.needed}" for one in result.undetermined]
+    stated = () if result.causes else result.open_questions
+    if remaining := [one for one in result.undetermined if one not in stated]:
+        lines = [f"  {one.what}: {one.needed}" for one in remaining]
         parts.append("\n".join(["not decided by this drive", *map(wrap_line, lines)]))
     return "\n\n".join(parts)

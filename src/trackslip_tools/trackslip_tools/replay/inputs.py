@@ -148,6 +148,12 @@ class InputStream:
         if len(rest):
             yield Batch(rest, {})
 
+    def first_message(self, name: str) -> Any:
+        """The first message of an input, None without; raises ``InputError`` as iteration does."""
+        topics = [topic for topic, input_name in self._names.items() if input_name == name]
+        first = next(self._bag.messages(topics, *self._span), None)
+        return None if first is None else self._bag.deserialize(first.raw, first.type_name)
+
     def _journaled_sources(self) -> set[int]:
         """Sources with lines in the journal; the journal is read until all sources of the bag are found."""
         counts = {name: self._bag.topics[topic].count for topic, name in self._names.items()}

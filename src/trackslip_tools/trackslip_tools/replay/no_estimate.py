@@ -7,8 +7,10 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from trackslip_bags.importing.bag_readings import READERS
 from trackslip_bags.input_filters import InputFilters, relative_name
 from trackslip_bags.reader import Bag
+from trackslip_common.errors import joined_names
 from trackslip_common.orientations import is_heading_known
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
@@ -19,6 +21,7 @@ from trackslip_estimation.slip.sources import nonempty_names
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _WAITING = Outcome.WAITING.name.lower()
+_FIXES_OF_OTHER_TYPES = ("fix", "tf")
 _NOT_FIXES = ("reference_pose",)  # poses that are no source by default
 
 
@@ -91,13 +94,21 @@ def _rejection_reasons(processed: ProcessingCounts, sources: Iterable[str]) -> s
 def _other_pose_topics(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
     """Other topics of the bag that could be a pose source, and the option that names one."""
     pose = TOPICS["box_pose"].type_name
-    names = [
-        filters.remap.get(relative_name(topic), relative_name(topic))
+    types = {
+        filters.remap.get(relative_name(topic), relative_name(topic)): info.type_name
         for topic, info in sorted(bag.topics.items())
-        if info.type_name == pose and info.count
-    ]
-    others = [name for name in names if name not in (*sources, SET_POSE)]
+        if info.count
+    }
+    others = [name for name, kind in types.items() if kind == pose and name not in (*sources, SET_POSE)]
     if not others:
-        return ""
+        foreign = [name for name, kind in types.items() if _is_convertible(name, kind)]
+        return (
+            f"; trackslip import makes fixes of {joined_names(foreign)} (docs/import.md)" if foreign else ""
+        )
     first = next((name for name in others if name not in _NOT_FIXES), others[0])
     return f"; the bag has {', '.join(others)} (--set slip_estimator.pose_sources=[{first}])"
+
+
+def _is_convertible(name: str, type_name: str) -> bool:
+    """Whether an import makes fixes of a topic, which the estimator itself does not publish."""
+    return ("pose", type_name) in READERS and (name not in TOPICS or name in _FIXES_OF_OTHER_TYPES)
