@@ -60,6 +60,14 @@ def test_address_is_refused_before_the_bag_is_replayed(capsys: pytest.CaptureFix
     assert "origin" in line
 
 
+def test_taken_port_is_refused_before_the_bag_is_replayed(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert cli.main(["live", str(BAG), "--host", "127.0.0.1", "--port", str(port)]) == ExitCode.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"port {port}" in line
+
+
 @pytest.mark.slow
 def test_bag_with_sensors_only_is_shown_with_replayed_estimates() -> None:
     with open_bag(BAG) as bag, bag_with_estimates(bag) as whole:

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,7 +18,7 @@ from trackslip_estimation.setup_check.finding import Result
 from trackslip_tools.cli import publish, replay_options, shared_options
 from trackslip_tools.cli.nodes import run_node
 from trackslip_tools.cli.progress import progress_bar, replay_progress
-from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
+from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters, open_sockets
 
 EXAMPLE = "trackslip live out/demo/bag --rate 5"
 
@@ -48,8 +47,10 @@ def run(args: argparse.Namespace) -> int:
     options = {"host": args.host, "port": args.port, "origins": args.origin and tuple(args.origin)}
     options = {name: value for name, value in options.items() if value is not None}
     if args.bag is not None:
-        p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **options)
-        p.allowed_hosts(p.port)  # reports errors before the replay
+        p = load_parameters(LiveParameters, NODE, DEFAULT_FILES, options)
+        p.allowed_hosts(p.port)  # reports errors before the replay, as does a socket that is taken
+        for one in open_sockets(p.host, p.port):
+            one.close()
         with open_bag(args.bag, args.namespace) as bag:
             setup = replay_options.check_setup(bag, args.vehicle) or Result()
             with bag_with_estimates(bag, args.vehicle) as whole:
