@@ -79,6 +79,7 @@ def pipe(tmp_path: Path) -> Callable[[str], Path]:
         ("files", {}),
         ("compression_mode", 1),
         ("version", "x"),
+        ("version", 10),
         *(
             ("", text)
             for text in ("", "hello", "[1, 2]", "rosbag2_bagfile_information: {version: 99}", "{{{")

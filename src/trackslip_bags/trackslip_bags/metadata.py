@@ -107,6 +107,11 @@ def check_metadata(bag: Path) -> None:
     information = tree.get("rosbag2_bagfile_information") if isinstance(tree, dict) else None
     if not isinstance(information, dict):
         raise ValueError(f"{METADATA}: no rosbag2_bagfile_information")
+    version = information.get("version")
+    if isinstance(version, int) and version > METADATA_VERSION:
+        raise ValueError(
+            f"{METADATA} has version {version} (accepted: up to {METADATA_VERSION}); files are read without it"
+        )
     for group, name in _TIMES:
         stated = information.get(group)
         time_ns = stated.get(name) if isinstance(stated, dict) else stated
