@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.made_bags import write_bag
+from fixtures.made_bags import write_bag, write_messages
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import header, make
@@ -236,6 +236,16 @@ def test_a_bag_without_an_estimate_makes_a_page_and_exit_code_1(bag: Path, tmp_p
     assert "No fix came: box_pose is withheld" in page
     assert "No measurement was used" in page
     assert "very measurement was used" not in page
+
+
+def test_a_report_without_poses_has_no_warning(
+    bag: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with open_bag(bag) as opened:
+        messages = list(opened.messages(["sprockets"]))[:50]
+    sprockets = write_messages(tmp_path / "bag", messages)
+    assert report(sprockets, "--output", tmp_path / "report.html") == ExitCode.FAILED
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from importlib import resources
 from itertools import repeat
 from typing import Any
 
+from bokeh.core.validation import silence
+from bokeh.core.validation.warnings import MISSING_RENDERERS
 from bokeh.document import Document
 from bokeh.embed import file_html
 from bokeh.events import MouseMove, Tap
@@ -38,6 +40,8 @@ _SAMPLES = 4000  # per curve, in a report of up to two runs; more runs share the
 _SHARING = 2
 _INITIAL_PLOTS = 4  # plots drawn before the page is shown; report.js adds the others one by one
 _TIME, _TIME_OF_DRIVING = "time, s", "time from the start of driving, s"
+
+silence(MISSING_RENDERERS)  # a run without poses has an empty plan
 
 
 def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
