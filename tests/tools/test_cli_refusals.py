@@ -52,6 +52,7 @@ BagOf = Callable[..., Path]
         ("--seed -1", "accepted: a whole number >= 0"),
         ("--params no_such.yaml", "file 'no_such.yaml' not found"),
         ("--frequency 3", "unrecognized arguments: --frequency 3"),
+        ("--json -", "--json: '-' cannot be written"),
         ("--publish --json out.json", "--json: accepted not together with --publish"),
         ("--publish --rate 0", "--rate: '0' is refused; accepted: 0.01 to 100"),
         ("--publish --also odometry", "no messages on /odometry"),

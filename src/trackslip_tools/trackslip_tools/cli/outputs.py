@@ -21,14 +21,16 @@ def require_writable(**files: Path | None) -> None:
     """Check that the files of these options can be written; existing files will be replaced.
 
     Raises:
-        InputError: a path is a directory, has no parent folder or may not be written; or ``json`` names an
-            existing file that is no JSON.
+        InputError: a path is a directory or ``-``, has no parent folder or may not be written; or ``json``
+            names an existing file that is no JSON.
     """
     for option, path in files.items():
         if path is None:
             continue
         folder = path.parent
-        if path.is_dir():
+        if str(path) == "-":
+            why = "it is no file; name one, such as results.json"
+        elif path.is_dir():
             why = "it is a directory"
         elif not folder.is_dir():
             why = f"no such folder: {folder}"
