@@ -110,7 +110,7 @@ def check_metadata(bag: Path) -> None:
     version = information.get("version")
     if isinstance(version, int) and version > METADATA_VERSION:
         raise ValueError(
-            f"{METADATA} has version {version} (accepted: up to {METADATA_VERSION}); files are read without it"
+            f"{METADATA} has version {version} (accepted: up to {METADATA_VERSION}): it is not used"
         )
     for group, name in _TIMES:
         stated = information.get(group)
