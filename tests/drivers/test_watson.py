@@ -186,6 +186,15 @@ def test_stamp_is_the_start_of_transmission():
     assert sample.stamp_ns == pytest.approx(expected, abs=2)
 
 
+@pytest.mark.parametrize("rate", [5.9, 7.9, 10.0, 11.85, 14.2, 20.0])
+def test_stamps_are_exact_at_any_rate_of_lines(rate):
+    line, parser = encode_line("R", {}, LAYOUT), stream()
+    sent_ns = [50_000_000_000 + round(k * 1e9 / rate) for k in range(50)]
+    arrivals = [(line, begun_ns + round(len(line) * CHAR_NS)) for begun_ns in sent_ns]
+    stamps = [sample.stamp_ns for arrival in arrivals for sample in parser.feed(*arrival)]
+    assert stamps == pytest.approx(sent_ns, abs=2)
+
+
 @pytest.mark.parametrize("before", [b"", b"\n", b"  "])
 def test_stamp_is_exact_after_one_prompt_read(before):
     """The other reads are late; the previous line ends 15 ms before this one begins."""

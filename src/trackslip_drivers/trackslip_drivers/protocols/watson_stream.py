@@ -19,15 +19,12 @@ from trackslip_drivers.protocols.watson import (
     to_sample,
 )
 from trackslip_drivers.records import ImuSample
-from trackslip_drivers.stamping import BacklogDetector, PeriodicStamps, StampEvent
+from trackslip_drivers.stamping import BacklogDetector, StampEvent
 
 IMU = "imu/data_raw"
 FIELD = "imu/mag"
 
 _BIT_7 = 0x80
-_LINE_PERIOD_NS = 6e9 / 71.11  # of decimal lines: every sixth tick of the unit
-_CLOCK_TOLERANCE = 0.01  # relative; the manuals give the rate as "about"
-_PATIENCE = 24  # lines
 
 
 class _Line(NamedTuple):
@@ -57,7 +54,6 @@ class WatsonStream:
         self._layout = layout
         self._time_offset_ns = time_offset_ns
         self._received = TimedBytes(BITS_PER_CHAR, baud)
-        self._stamps = PeriodicStamps(_LINE_PERIOD_NS, _CLOCK_TOLERANCE, _PATIENCE)
         self.reset()
 
     @property
@@ -76,10 +72,9 @@ class WatsonStream:
         return [sample for sample in decoded if sample is not None]
 
     def reset(self) -> None:
-        """Drop an incomplete line, and restart the stamps: the port was reopened."""
+        """Drop an incomplete line: the port was reopened."""
         self._backlog = BacklogDetector()
         self._drop_line()
-        self._stamps.restart()
 
     def _drop_line(self) -> None:
         self._received.clear()
@@ -112,10 +107,7 @@ class WatsonStream:
         if line.text is None:
             self.tally.add(IMU, Rejection.OVERLONG)
             return None
-        stamp_ns = line.begun_ns + self._time_offset_ns
-        reading = self._decode(line.text)
-        if isinstance(reading, Reading) and line.text[0] < _BIT_7:  # frames come as fast as the line allows
-            stamp_ns = self._stamps.filter(stamp_ns)
+        reading, stamp_ns = self._decode(line.text), line.begun_ns + self._time_offset_ns
         result = reading if isinstance(reading, Rejection) else to_sample(reading, stamp_ns)
         if isinstance(result, Rejection):
             detail = count_mismatch(line.text, self._layout) if result is Rejection.WRONG_COUNT else ""
