@@ -173,6 +173,24 @@ def test_binary_bursts_lose_no_sentence(size, form):
     assert not (whole and parser.tally.total)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        b"#BESTPOSA,COM1,0,58.5,FINESTEERING,2200,1.0,02000020,cdba,16809;SOL_COMPUTED,NARROW_INT*0a1b2c3d\r\n",
+        b"\r\n<OK\r\n[COM1]",
+        b"$R: setNMEAOutput, Stream1, COM1\r\n",
+        b"$command,gpgga 0.1,response: OK*00\r\n",
+        b"$@\x12\x34\xa7\x0f\x10\x00\nab\n$ab\n\x00\n",
+    ],
+)
+def test_text_and_binary_data_of_other_protocols_are_no_damaged_sentences(other):
+    parser = stream()
+    samples = [s for k, t in enumerate(EPOCHS) for s in parser.feed(other + gga(at(t)), S + k * S // 10)]
+    assert len(samples) == len(EPOCHS)
+    assert parser.bytes_between_sentences > 0
+    assert not parser.tally.total
+
+
 def test_silence_ends_an_incomplete_binary_message():
     """Its header states more bytes than follow."""
     parser = stream()
@@ -269,8 +287,8 @@ def test_rejections_are_counted_and_other_sentences_are_named():
     parser = stream()
     parser.feed(b"$GPGSV,3,1*4B\r\n" + gga(at(0, quality=6)) + b"noise\r\n" + b"x" * 2000 + b"\n" + VTG, S)
     parser.feed(gga(at(0))[:40] + gga(at(0)), S)
-    assert parser.tally.by_source()["fix"] == {"dead reckoning": 1, "no line end": 2, "no sentence": 1}
-    assert parser.unused_sentences == 1
+    assert parser.tally.by_source()["fix"] == {"dead reckoning": 1, "no line end": 2}
+    assert (parser.unused_sentences, parser.bytes_between_sentences) == (1, len("noise\r"))
     assert parser.kinds == ["GGA", "GSV", "VTG"]
 
 

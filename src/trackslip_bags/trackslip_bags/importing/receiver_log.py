@@ -158,8 +158,7 @@ def _timed_message(frame: Frame) -> _TimedMessage:
         return _TimedMessage(
             frame.content, time_ns, day, is_clock=day is not None and not frame.content[17] & _VALID_DATE
         )
-    ends_line = frame.kind in (Kind.TEXT, Kind.OVERLONG)
-    return _TimedMessage(frame.content + (b"\n" if ends_line else b""), None, None)
+    return _TimedMessage(frame.content + (b"\n" if frame.kind is Kind.OVERLONG else b""), None, None)
 
 
 def _zda_time_ns(sentence: bytes) -> int | None:

@@ -6,8 +6,9 @@
     B5 62 class id length(2, LE) payload checksum(2)          UBX
     D3 length(2, BE, of 10 bits) payload CRC(3)               RTCM 3
 
-Binary messages are recognised by their checksum. A byte that begins none of the three is noise: another
-protocol, or damage. The search continues at the byte after it, so noise never hides a sentence.
+A sentence begins with two capitals, and binary messages are recognised by their checksum. A byte that begins
+none of the three is noise: another protocol, in text or binary, or damage. The search continues at the byte
+after it, so noise never hides a sentence.
 """
 
 import re
@@ -37,7 +38,6 @@ class Kind(Enum):
     SENTENCE = "NMEA"  # from its $ on, without its line end
     UBX = "UBX"
     RTCM = "RTCM"
-    TEXT = "text"  # a line without a $
     OVERLONG = "overlong"  # text that does not end
     NOISE = "noise"
 
@@ -99,7 +99,7 @@ class FrameSplitter:
                 yield from self._skip_noise()
                 continue
             kind = {_SENTENCE: Kind.SENTENCE, _RTCM: Kind.RTCM}.get(self._pending[0], Kind.UBX)
-            yield from self._flush_noise(Kind.NOISE)
+            yield from self._flush_noise()
             yield self._extract_message(kind, size)
 
     def _message_size(self) -> int | None:
@@ -112,6 +112,8 @@ class FrameSplitter:
         return self._rtcm_size() if first == _RTCM else 0
 
     def _sentence_size(self) -> int | None:
+        if len(self._pending) > 2 and not _ADDRESS.match(self._pending):
+            return 0
         match = _LINE_END.search(self._pending, 1, LONGEST_LINE + 1)
         end = match.start() if match else -1
         length = min(len(self._pending), LONGEST_LINE + 1) if end < 0 else end
@@ -148,10 +150,10 @@ class FrameSplitter:
     def _skip_noise(self) -> Iterator[Frame]:
         """Move bytes to the noise, up to the next possible start of a message or end of a line."""
         if self._pending[0] == _SENTENCE:
-            yield from self._flush_noise(Kind.NOISE)
+            yield from self._flush_noise()
         if self._pending[0] == _LF:
             self._received.discard(1)
-            yield from self._flush_noise(Kind.TEXT)
+            yield from self._flush_noise()
             return
         match = _NOISE_END.search(self._pending, 1)
         size = match.start() if match else len(self._pending)
@@ -163,15 +165,11 @@ class FrameSplitter:
                 yield self._noise_frame(Kind.NOISE)
             self._noise.clear()
 
-    def _flush_noise(self, kind: Kind) -> Iterator[Frame]:
+    def _flush_noise(self) -> Iterator[Frame]:
         """Return the collected noise as a piece; a truncated sentence is marked as overlong."""
-        is_text = _NON_TEXT.search(self._noise) is None
-        if self._overlong or (is_text and _ADDRESS.match(self._noise)):
-            kind = Kind.OVERLONG
-        elif not is_text:
-            kind = Kind.NOISE
+        is_cut = _ADDRESS.match(self._noise) and _NON_TEXT.search(self._noise) is None
         if self._overlong or self._noise.strip():
-            yield self._noise_frame(kind)
+            yield self._noise_frame(Kind.OVERLONG if self._overlong or is_cut else Kind.NOISE)
         self._noise.clear()
         self._overlong = False
 

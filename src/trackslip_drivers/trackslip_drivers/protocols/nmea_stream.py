@@ -58,7 +58,6 @@ _ACCURACY_RANK = 2  # rank of a position that states its accuracy
 _RECENT_NS = 10_000_000_000
 _HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
 _TOPICS = {**dict.fromkeys(_HEADINGS, HEADING), "VTG": VELOCITY}
-_REASONS = {Kind.TEXT: Rejection.NOT_NMEA, Kind.OVERLONG: Rejection.OVERLONG}
 
 Sample = FixSample | HeadingSample | VelocitySample
 
@@ -150,8 +149,8 @@ class NmeaStream:
             self._note_kind(ubx.name_of(frame.content), frame.ended_ns)
         if frame.kind is Kind.UBX and (kind := ubx.kind_of(frame.content)):
             return self._on_ubx(ubx.decode(frame.content), kind, frame.begun_ns)
-        if frame.kind in _REASONS:
-            self.tally.add(FIX, _REASONS[frame.kind])
+        if frame.kind is Kind.OVERLONG:
+            self.tally.add(FIX, Rejection.OVERLONG)
         else:
             self.bytes_between_sentences += len(frame.content)
         return []
