@@ -244,6 +244,17 @@ def test_leap_second_at_one_fix_a_second():
     assert [s.stamp_ns for s in samples] == [(k + 5) * S for k in range(20)]
 
 
+@pytest.mark.parametrize("rate", [1, 5, 10])
+@pytest.mark.parametrize("encoders", [(gga, gst), (gga, rmc, pashr), (pashr,)])
+def test_repeated_readings_of_one_time_are_no_measurements(rate, encoders):
+    parser, burst = stream(), b"".join(encode(at(3600 * S)) for encode in encoders)
+    for k in range(3 * rate):
+        parser.feed(burst, 5 * S + k * S // rate)
+    assert [s for k in range(rate) for s in parser.feed(burst, 8 * S + k * S // rate)] == []
+    assert parser.tally.by_source()["receiver's clock"]["time of fixes does not advance"] >= rate
+    assert len(received(parser, EPOCHS[1:], encoders, late=lambda _: 10 * S)) >= len(EPOCHS) - 2
+
+
 def test_fixes_without_a_time_are_stamped_at_arrival_and_empty_reads_move_no_stamp():
     parser = stream()
     parser.feed(b"", 0)

@@ -134,6 +134,14 @@ def test_the_finest_position_and_the_covariance_are_used(encoders):
     np.testing.assert_allclose([fix.variances for fix in fixes[2:]], [(4e-4, 1e-4, 9e-4)] * 18, rtol=1e-6)
 
 
+def test_repeated_position_of_one_time_is_no_measurement():
+    parser = NmeaStream(P, Tally())
+    for k in range(30):
+        parser.feed(pvt() + fine(), S + k * S // 10)
+    assert parser.feed(pvt() + fine(), 4 * S + S // 10) + parser.flush() == []
+    assert len(parser.feed(pvt(tow=TOW + 100) + fine(tow=TOW + 100), 4 * S + S // 5)) == 2
+
+
 def test_an_accuracy_of_zero_is_unknown():
     velocity, fix = NmeaStream(P, Tally()).feed(pvt(hAcc=0, vAcc=0, sAcc=0), S)
     assert velocity.stddev == P.velocity_stddev

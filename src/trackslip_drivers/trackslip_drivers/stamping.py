@@ -94,11 +94,16 @@ class SenderClock:
         tolerance: ρ, of both clocks together.
         patience: after this many consecutive readings later than modelled, the model is shifted to the least
             late of them.
+
+    Attributes:
+        unchanged_ns: time for which the sender has stated the time of its latest reading.
     """
 
     def __init__(self, tolerance: float, patience: int) -> None:
+        self.unchanged_ns = 0
         self._pace = 1.0 + tolerance
         self._patience = patience
+        self._first_ns = 0  # arrival of the first message with the time of the latest reading
         self._stated_ns: int | None = None  # of the last reading, as the times below
         self._raw_ns = self._last_ns = 0
         self._late, self._least_late_ns = 0, _DAY_NS
@@ -109,6 +114,9 @@ class SenderClock:
 
     def filter(self, raw_ns: int, stated_ns: int) -> int:
         """The stamp of a reading that the sender states to be of ``stated_ns``, time of day."""
+        if stated_ns != self._stated_ns:
+            self._first_ns = raw_ns
+        self.unchanged_ns = raw_ns - self._first_ns
         if self._stated_ns is None:
             return self._restart_from(raw_ns, stated_ns)
         elapsed_ns = (stated_ns - self._stated_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2

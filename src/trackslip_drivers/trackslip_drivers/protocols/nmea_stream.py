@@ -49,6 +49,7 @@ RECEIVER_CLOCK = "receiver's clock"
 _CLOCK_TOLERANCE = 5e-5  # relative, of a host's quartz
 _PATIENCE = 300  # fixes
 _BURST_GAP_NS = 10_000_000  # silence that ends a burst
+_LONGEST_EPOCH_NS = 2_000_000_000  # for which a time may be stated: in a leap second, over a slow line
 _GST_AGE_NS = 1_500_000_000  # greatest age of a GST used for a fix of the same quality
 _DAY_NS = 86_400_000_000_000
 _MIN_AGE_NS, _MAX_AGE_NS = -50_000_000, 1_000_000_000  # bounds on a sentence's age, if both clocks are on UTC
@@ -66,6 +67,7 @@ class ClockEvent(Enum):
     """Fault of a time that the receiver states."""
 
     NOT_UTC = "not the host's UTC: latency assumed"
+    UNCHANGED = "time of fixes does not advance"
 
 
 class NmeaStream:
@@ -168,8 +170,11 @@ class NmeaStream:
         if isinstance(reading, Heading):
             return self._on_reading(reading, kind, begun_ns)
         if isinstance(reading, ubx.Pvt):
-            samples = self._release_pvt() + self._on_velocity(reading.velocity, "UBX", begun_ns)
-            self._pvt = reading, self._stamp(reading.time_ns, begun_ns), begun_ns
+            samples, stamp_ns = self._release_pvt(), self._stamp(reading.time_ns, begun_ns)
+            if self._is_old(reading.time_ns):
+                return samples
+            samples += self._on_velocity(reading.velocity, "UBX", begun_ns)
+            self._pvt = reading, stamp_ns, begun_ns
             self._pvt_parts = set()
         elif self._pvt is None or self._pvt[0].time_ns != reading.time_ns:
             if reading.time_ns == self._pvt_out_ns:  # too late for its position; the next one waits
@@ -237,6 +242,8 @@ class NmeaStream:
         if isinstance(reading, Velocity):
             return self._on_velocity(reading, source, begun_ns)
         stamp_ns = self._stamp(reading.time_ns, begun_ns)
+        if self._is_old(reading.time_ns):
+            return []
         if isinstance(reading, Heading):
             if not self._direction.accept(source, reading.stddev > 0.0, stamp_ns, begun_ns):
                 return []
@@ -317,6 +324,12 @@ class NmeaStream:
             self.latency_ns = begun_ns - self._burst_ns
         moment_ns = begun_ns - self._latency_ns if self._burst_ns is None else self._burst_ns
         return moment_ns + round(self._p.time_offset * 1e9)
+
+    def _is_old(self, stated_ns: int | None) -> bool:
+        """Whether the receiver repeats a reading of this time, which is counted."""
+        is_old = stated_ns is not None and self._clock.unchanged_ns > _LONGEST_EPOCH_NS
+        self.tally.add(RECEIVER_CLOCK, ClockEvent.UNCHANGED, int(is_old))
+        return is_old
 
     def _epoch(self, stated_ns: int, begun_ns: int) -> int:
         """Steady time of the epoch that the receiver states, ns."""
