@@ -221,7 +221,7 @@ def test_swing_without_a_range_is_continuous_over_its_wrap(tmp_path, signal, uni
         data = (raw % 65536).to_bytes(2, "big") + bytes(6)
         samples += driver.receive(message.frame_id | STANDARD_FLAG, data, round((1.0 + t) * S))
     assert len(samples) == 299
-    assert driver.tally.total == {("swing_encoder", "first reading"): 1}
+    assert not driver.tally.total
     assert [sample.velocity for sample in samples[5:]] == pytest.approx([rate] * 294, abs=0.03)
     last = math.remainder(rate * 0.05 * 299, 2.0 * math.pi)
     assert math.remainder(samples[-1].position - last, 2.0 * math.pi) == pytest.approx(0.0, abs=0.01)

@@ -171,7 +171,7 @@ def test_samples(excavator, tally):
     assert sprockets.left_position == pytest.approx((4095 + 20) * per_count)
     assert sprockets.left_velocity == pytest.approx(10 * per_count / 0.01)
     assert sprockets.right_velocity == pytest.approx(-2 * per_count / 0.01)
-    assert tally.total == {("left_encoder", "first reading"): 1, ("right_encoder", "first reading"): 1}
+    assert not tally.total
 
 
 def test_pressures_without_recent_spools(excavator, tally):

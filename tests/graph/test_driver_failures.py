@@ -108,6 +108,16 @@ def test_most_frequent_reason_is_reported_as_last_rejection(driver):
         assert driver.health()[0].values["last rejected"] == "garbage byte"
 
 
+def test_remedy_is_that_of_the_reason(driver, monkeypatch):
+    monkeypatch.setattr(FragileDriver, "remedies", {TelegramFault.BAD_CRC.value: "check the cable"})
+    driver.port.items.put(b"1")
+    wait_for(lambda: driver.received)
+    driver.tally.add("scan", TelegramFault.BAD_CRC, detail="7 of 9")
+    assert driver.health()[0].message == "running; some is rejected: 7 of 9; check the cable"
+    driver._last_s = -math.inf
+    assert driver.health()[0].message.endswith("none is usable: 7 of 9; check the cable")
+
+
 def test_reason_of_unusable_data_is_a_recent_rejection(driver, monkeypatch):
     driver.port.items.put(b"1")
     wait_for(lambda: driver.received)

@@ -4,6 +4,7 @@
 
 import sys
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.nodes.health import OK, WARN, Health
@@ -14,8 +15,10 @@ from trackslip_drivers import conversions
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
-from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, load_frames
+from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, Rejection, load_frames
+from trackslip_drivers.protocols.can_timing import TimingEvent
 from trackslip_drivers.protocols.canopen import START_ALL, start_command
+from trackslip_drivers.protocols.encoder import EncoderEvent
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.stamping import StampEvent
@@ -34,6 +37,14 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
     """Receives frames; publishes those of ``sprockets``, ``hydraulics`` and ``swing`` that have roles."""
 
     data_name, advice = "frames", "check power, wiring and bitrate"
+    format_advice = "check dbc_file and roles_file"
+    remedies = MappingProxyType(
+        {
+            Rejection.ERROR_FRAME.value: "check wiring, terminators and bitrate",
+            TimingEvent.ALIVE_REPEATED.value: "check its sender, and for another sender of the same id",
+            EncoderEvent.JUMP.value: "check the encoder, and for another sender of the same id",
+        }
+    )
     period = 0.01
     silence = 2.0
     realtime_priority = 10  # a message takes 0.5 ms, and odometry starts with it

@@ -9,7 +9,7 @@ import time
 from collections import defaultdict
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from rclpy.clock import Clock, ClockType
 
@@ -17,6 +17,7 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.failures import utc_date
 from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health
 from trackslip_common.parameters import Parameters
+from trackslip_drivers.frequent_reason import STAMP_EVENTS, FrequentReason
 from trackslip_drivers.serial_parameters import SerialParameters
 from trackslip_drivers.stamping import MonotonicStamps, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
@@ -38,7 +39,6 @@ _LONGEST_INTERVAL = 10.0  # s between messages of a device that sends at all
 _SETTLING_TIME = 1.0  # s beyond the limit in which unusable data are only a warning
 _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
-_STAMP_EVENTS = (StampEvent.SHIFTED.value, StampEvent.CLOCK_JUMPED.value)  # these reject nothing
 _REMEDIES = {  # text of an error of the port → remedy
     os.strerror(errno.EACCES): "add this user to the group of the port (dialout)",
     BUSY: "end that program",
@@ -55,6 +55,16 @@ class Sample(Protocol):
     def _replace(self: S, *, stamp_ns: int) -> S: ...
 
 
+class _Rejected(NamedTuple):
+    """The latest rejection or event that is reported."""
+
+    text: str = ""
+    reason: str = ""
+    is_event: bool = False
+    time_s: float = -math.inf  # steady
+    date: str = ""
+
+
 class DriverNode(TrackslipNode[P], Generic[P, D]):
     """Opens its link while active.
 
@@ -67,7 +77,9 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     data_name = "bytes"
     advice = "check power and port"  # if no data arrive
     slow_advice = "set the rate of the device and of its driver alike"  # if data arrive slowly
-    transient_reasons: Mapping[str, str] = MappingProxyType({})  # no fault of the link: reason → remedy
+    format_advice = "check rate and format"  # if no data are usable
+    remedies: Mapping[str, str] = MappingProxyType({})  # by reason of a rejection
+    transient_reasons: frozenset[str] = frozenset()  # no faults of the link
     period = 1.0  # s between messages in normal operation
     silence = math.inf  # s without a byte or frame after which the port is reopened
 
@@ -80,7 +92,8 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         self._intervals = (math.inf, math.inf)  # s, between the latest three messages
         self._link: Link[D] | None = None
         self._reported: bytes | None = None  # level
-        self._rejected = ("", -math.inf, "")  # most frequent reason, its time (steady, s) and date
+        self._reasons = FrequentReason()
+        self._rejected = _Rejected()
         self.create_timer(
             _CHECK_PERIOD, self._publish_health_on_change, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -150,9 +163,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         """Connection, rate, age, rejections."""
         state, now_s = self.link.state(), time.monotonic()
         if counts := self.tally.new_counts():
-            key = max(counts, key=lambda key: counts[key])  # the latest would change at each report
-            event = ": ".join(key) if key[1] in _STAMP_EVENTS else ""
-            self._rejected = (event or self.tally.detail_or_reason(key), now_s, utc_date(time.time()))
+            key = self._reasons.update(counts, now_s)
+            is_event = key[1] in STAMP_EVENTS
+            text = ": ".join(key) if is_event else self.tally.detail_or_reason(key)
+            self._rejected = _Rejected(text, key[1], is_event, now_s, utc_date(time.time()))
         start_s, start_count = self._rate_start
         if now_s - start_s >= _RATE_INTERVAL:
             self._rate = (self._published - start_count) / (now_s - start_s)
@@ -165,8 +179,8 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             "errors": state.errors,
             "last error": state.last_error,
             "last error at": utc_date(state.last_error_s) if state.last_error_s else "",
-            "last rejected": self._rejected[0],
-            "last rejected at": self._rejected[2],
+            "last rejected": self._rejected.text,
+            "last rejected at": self._rejected.date,
             "note": state.note,
             "stamps ahead of the host's clock (s)": f"{self._host.lead_ns * 1e-9:.3f}",
         }
@@ -197,13 +211,14 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             remedy = _REMEDIES.get(state.last_error, self.advice)
             return ERROR, f"{where}: not connected ({state.last_error}); {remedy}"
         limit_s = _STALE_PERIODS * self.period
-        reason, rejected_s, _ = self._rejected
+        text, reason, is_event, rejected_s, _ = self._rejected
         interval_s = min(self._intervals)  # one long interval may be a gap
         if _SLOW_SHARE * limit_s < interval_s < _LONGEST_INTERVAL and now_s - self._last_s < 2.0 * interval_s:
             return WARN, f"{where}: {self.data_name} come too seldom; {self.slow_advice}"
-        is_event, is_recent = reason.endswith(_STAMP_EVENTS), now_s - rejected_s < REPORT_TIME
+        is_recent = now_s - rejected_s < REPORT_TIME
         if now_s - self._last_s <= limit_s:
-            fault = reason if is_event else f"some is rejected: {reason}"
+            remedy = f"; {self.remedies[reason]}" if reason in self.remedies else ""
+            fault = text if is_event else f"some is rejected: {text}{remedy}"
             return (WARN, f"running; {fault}") if is_recent else (OK, "running")
         if not self._published and state.connected and state.openings == 1 and is_new:
             return WARN, f"{where}: opened, no data yet"
@@ -213,13 +228,13 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if silent_s > 0.5 * limit_s or not state.has_received:
             return STALE, f"{where}: no {self.data_name}{dialogue}; {self.advice}"
         if is_event or not is_recent:
-            reason = "no complete message"
+            text = reason = "no complete message"
         if reason in self.transient_reasons:
-            return WARN, f"{where}: {reason}{dialogue}; {self.transient_reasons[reason]}"
-        message = f"{where}: {self.data_name} arrive, but none is usable: {reason}{dialogue}"
+            return WARN, f"{where}: {reason}{dialogue}; {self.remedies[reason]}"
+        message = f"{where}: {self.data_name} arrive, but none is usable: {text}{dialogue}"
         if now_s - self._last_s < limit_s + _SETTLING_TIME:
             return WARN, message
-        return ERROR, f"{message}; check rate and format"
+        return ERROR, f"{message}; {self.remedies.get(reason, self.format_advice)}"
 
     def _publish_health_on_change(self) -> None:
         """Publish health at once if its level has changed."""

@@ -15,7 +15,7 @@ from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.nodes.driver import SerialDriverNode
-from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
+from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, Rejection
 from trackslip_drivers.protocols.nmea_sentences import Position, gga
 from trackslip_drivers.protocols.nmea_stream import (
     FIX,
@@ -23,12 +23,17 @@ from trackslip_drivers.protocols.nmea_stream import (
     NO_POSITION,
     POSITIONS,
     VELOCITY,
+    ClockEvent,
     NmeaStream,
     Sample,
 )
 from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
 from trackslip_drivers.transports.ntrip import MAX_RATE, STALL_S, NtripClient, read_credentials
 
+_TRANSIENT = [
+    reason.value
+    for reason in (Rejection.NO_FIX, Rejection.WARNING, Rejection.DEAD_RECKONING, Rejection.NOT_MEASURED)
+]
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
 
 
@@ -37,11 +42,15 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
 
     device = "GNSS receiver"
     slow_advice = "set the receiver to rate, or rate to that of the receiver"
-    transient_reasons = MappingProxyType(
-        dict.fromkeys(
-            ("no fix", "receiver's warning", "dead reckoning"), "check that the antenna sees the sky"
-        )
-        | {"manual or simulated": "let the receiver measure its position"}
+    transient_reasons = frozenset(_TRANSIENT)
+    remedies = MappingProxyType(
+        {
+            **dict.fromkeys(_TRANSIENT, "check that the antenna sees the sky"),
+            Rejection.NOT_MEASURED.value: "let the receiver measure its position",
+            Rejection.NO_CHECKSUM.value: "switch checksums on at the receiver",
+            Rejection.NO_PAIR.value: "set up the base as a moving base",
+            ClockEvent.UNCHANGED.value: "restart the receiver",
+        }
     )
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix
 

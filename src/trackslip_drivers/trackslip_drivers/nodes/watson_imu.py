@@ -5,13 +5,14 @@
 import math
 import sys
 import time
+from types import MappingProxyType
 
 from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import REPORT_TIME, SerialDriverNode
-from trackslip_drivers.protocols.watson import Layout
+from trackslip_drivers.protocols.watson import Layout, Rejection
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.watson_parameters import WatsonParameters
 
@@ -20,6 +21,16 @@ class WatsonNode(SerialDriverNode[WatsonParameters]):
     """Receives bytes; publishes ``imu/data_raw`` and ``imu/mag``."""
 
     device = "Watson"
+    remedies = MappingProxyType(
+        {
+            Rejection.WRONG_COUNT.value: "set channels, formats and full_scales to those of the unit",
+            Rejection.MALFORMED.value: "set channels, formats and full_scales to those of the unit",
+            Rejection.TEXT.value: "switch the unit off and on",
+            Rejection.INVALID.value: "switch the unit off and on",
+            Rejection.OVERLONG.value: "check serial_baud and parity",
+            Rejection.GARBLED.value: "check serial_baud and parity",
+        }
+    )
     period = 1.0 / 11.85
     silence = 8.0  # the unit takes 5 s to start
 

@@ -178,8 +178,10 @@ class _Output(ABC):
         return total
 
     def _count_encoder_event(self, reading: _Reading) -> None:
-        """Count an encoder event, or a motion without a position."""
+        """Count an encoder event, or a motion without a position; any encoder starts with a first reading."""
         event = reading.motion
+        if event is EncoderEvent.STARTED:
+            return
         if isinstance(event, Motion):
             if not math.isnan(event.position):
                 return
