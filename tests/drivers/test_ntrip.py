@@ -161,10 +161,34 @@ def test_positions_go_back_to_the_caster(casters: Callable[..., Caster]) -> None
 def test_caster_is_not_asked_before_there_is_a_position_for_it(casters: Callable[..., Caster]) -> None:
     caster = casters(streams(1))
     with Receiver(caster, gga=None) as receiver:
-        receiver.wait_for_fault("waiting for the first position")
+        receiver.wait_for_fault("waiting for a fix")
         assert caster.requests == []
     with Receiver(caster, gga=None, gga_interval=0.0) as receiver:
         receiver.wait(lambda: len(receiver.messages) == 1)
+
+
+def test_position_that_is_no_more_known_is_not_sent_again(casters: Callable[..., Caster]) -> None:
+    caster = casters(replies(OK + rtcm()))
+    with Receiver(caster) as receiver:
+        receiver.wait(lambda: len(receiver.messages) == 1)
+        receiver.client._gga = lambda: None
+        receiver.wait_for_fault("waiting for a fix")
+        requests = len(caster.requests)
+        time.sleep(0.3)
+        assert len(caster.requests) == requests
+
+
+def test_caster_that_often_closes_is_soon_asked_again(
+    casters: Callable[..., Caster], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ntrip, "LONGEST_PAUSE_S", 3600.0)
+
+    def serve(connection: socket.socket, _: bytes) -> None:
+        connection.sendall(OK + rtcm())
+        time.sleep(0.15)
+
+    with Receiver(casters(serve)) as receiver:
+        receiver.wait(lambda: receiver.client.state().connections >= 14)
 
 
 FAULTS: dict[str, tuple[Serve, str]] = {

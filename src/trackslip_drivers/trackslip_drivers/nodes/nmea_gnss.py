@@ -35,6 +35,7 @@ _TRANSIENT = [
     for reason in (Rejection.NO_FIX, Rejection.WARNING, Rejection.DEAD_RECKONING, Rejection.NOT_MEASURED)
 ]
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
+_POSITION_AGE = 10.0  # s, of a fix whose position is sent to the caster
 
 
 class NmeaNode(SerialDriverNode[NmeaParameters]):
@@ -65,7 +66,7 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
         self._headings = self.advertise(topic_class(HEADING), HEADING)
         self._velocities = self.advertise(topic_class(VELOCITY), VELOCITY)
         self._stream = self._make_stream()
-        self._position: bytes | None = None  # GGA sentence, for a caster
+        self._latest_fix: tuple[FixSample, float] | None = None  # and the steady time of its arrival, s
         file = self.settings.ntrip.credentials_file
         self._credentials = read_credentials(Path(file)) if self.settings.ntrip.host and file else None
         self._caster: NtripClient | None = None
@@ -77,7 +78,7 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
         if p.ntrip.host:
             max_rate = MAX_RATE if "://" in p.serial_port else min(p.serial_baud // BITS_PER_CHAR, MAX_RATE)
             self._caster = NtripClient(
-                p.ntrip, self._credentials, max_rate, self.link.write, lambda: self._position
+                p.ntrip, self._credentials, max_rate, self.link.write, self._present_gga
             )
             self._caster.start()
 
@@ -142,8 +143,7 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
             if isinstance(decoded, FixSample):
                 fix = self.restamp(decoded)
                 self._fixes.publish(conversions.nav_sat_fix(make, fix, self.settings.frame_id))
-                if self._caster is not None:
-                    self._position = _gga_sentence(fix)
+                self._latest_fix = fix, time.monotonic()
                 self.count_message()
             elif isinstance(decoded, VelocitySample):
                 velocity = self.restamp(decoded)
@@ -152,11 +152,13 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
                 heading = self.restamp(decoded)
                 self._headings.publish(conversions.heading(make, heading, self.settings.heading_frame_id))
 
-
-def _gga_sentence(fix: FixSample) -> bytes:
-    """GGA sentence of a fix, for a caster."""
-    altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
-    return gga(Position(time.time_ns(), fix.latitude, fix.longitude, altitude, _QUALITY[fix.status]))
+    def _present_gga(self) -> bytes | None:
+        """GGA sentence of the latest fix, for a caster; None if that is old."""
+        if self._latest_fix is None or time.monotonic() - self._latest_fix[1] > _POSITION_AGE:
+            return None
+        fix, _ = self._latest_fix
+        altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
+        return gga(Position(fix.stamp_ns, fix.latitude, fix.longitude, altitude, _QUALITY[fix.status]))
 
 
 def main() -> None:

@@ -40,7 +40,6 @@ MAX_RATE = 50_000  # B/s over a network; corrections of all satellites are 4 kB/
 _FIRST_BURST = 64_000  # bytes beyond the rate, which casters send at first
 _RATE_INTERVAL_S = 2.0  # interval over which the rate is counted
 _LINE_BUFFER_S = 0.4  # of the line's capacity that may be written at once
-_PAUSE_RESET_S = 60.0  # of corrections, after which the pause is the first one again
 _READ_SIZE = 4096  # bytes
 _LONGEST_WAIT_S = 60.0  # for a complete message while bytes come
 _MAX_OTHER_BYTES = 20_000  # bytes without a complete message, which are no corrections
@@ -164,7 +163,7 @@ class NtripClient:
         credentials: None: no authentication.
         max_rate: capacity of the receiver's line, B/s.
         on_message: called in the client's thread with each RTCM 3 message.
-        gga: the receiver's position as a sentence, for position-dependent corrections; None: unknown.
+        gga: the receiver's present position as a sentence, for position-dependent corrections; None: unknown.
     """
 
     def __init__(
@@ -210,13 +209,13 @@ class NtripClient:
         """Connect and receive until stopped."""
         pause_s = FIRST_PAUSE_S
         while not self._stopping.is_set():
-            begun_s = time.monotonic()
+            begun_s, messages = time.monotonic(), self._state.messages
             try:
                 self._receive()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the caster is what failed)
                 with self._lock:
                     self._state.fault = self._fault_text(error)
-            if time.monotonic() - begun_s > _PAUSE_RESET_S:
+            if self._state.messages > messages and time.monotonic() - begun_s > pause_s:
                 pause_s = FIRST_PAUSE_S
             self._stopping.wait(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
@@ -249,8 +248,7 @@ class NtripClient:
             if (sentence := self._gga()) is not None:
                 return sentence
             with self._lock:
-                if self._state.messages == 0:
-                    self._state.fault = "waiting for the first position, which the caster requires"
+                self._state.fault = "waiting for a fix of the receiver, as the caster requires a position"
             self._stopping.wait(_POSITION_CHECK_S)
         return None
 
