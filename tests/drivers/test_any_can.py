@@ -252,6 +252,31 @@ def test_j1939_by_parameter_group_and_sender(tmp_path):
     assert driver.tally.total["TrackMotor", "out of range"] == 1
 
 
+def test_senders_at_a_time_are_ambiguous_and_a_changed_address_or_a_past_sender_is_not(tmp_path):
+    roles = "roles: {left_speed: MC.L, right_speed: MC.R}\nframes: {MC: {j1939: true}}\n"
+    dbc = """VERSION ""
+BU_: MC
+BO_ 2566848766 MC: 8 MC
+ SG_ L : 0|16@1+ (0.125,-4000) [0|0] "rpm" X
+ SG_ R : 16|16@1+ (0.125,-4000) [0|0] "rpm" X
+"""
+    driver, data = machine(tmp_path, roles, dbc), bytes.fromhex("A07D607C00000000")
+
+    def run(begin_s, end_s, *sources):
+        for time_s in np.arange(begin_s, end_s, 0.02):
+            for source in sources:
+                driver.receive(0x18FF0000 | source, data, round(time_s * S))
+
+    run(0, 3, 0x21)
+    run(3, 6, 0x47)
+    assert driver.decoder.ambiguous_source_message() == ""
+    run(6, 8, 0x47, 0x22)
+    assert "0x22 and 0x47" in driver.decoder.ambiguous_source_message(is_live=True)
+    run(8, 15, 0x47)
+    assert driver.decoder.ambiguous_source_message(is_live=True) == ""
+    assert "0x22 and 0x47" in driver.decoder.ambiguous_source_message()
+
+
 @pytest.mark.parametrize(
     ("changes", "options"),
     [

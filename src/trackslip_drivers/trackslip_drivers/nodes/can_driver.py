@@ -114,7 +114,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
             entries[0].values["frames without a role"] = self._can.decoder.frames_without_role
-            ambiguous = self._can.decoder.ambiguous_source_message()
+            ambiguous = self._can.decoder.ambiguous_source_message(is_live=True)
             entries[0].values["another source address"] = (
                 self._can.decoder.other_source_message() or ambiguous
             )

@@ -33,6 +33,7 @@ _EXTENDED = 1 << 29  # lower ids are data frames with 29 bits
 _FIRST_BROADCAST = 0xF0  # PDU format; below it, the next byte is a destination address
 _MAX_SENDERS = 256
 _SHOWN_IDS = 8
+_PRESENCE_NS = 5_000_000_000  # since the latest frame of a sender that is present
 _ID_BITS = _EXTENDED - 1
 
 
@@ -173,7 +174,7 @@ class FrameDecoder:
         values = codec.unpack(little, big)
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
-        timing = self._timings.get(arbitration_id) or self._add_timing(arbitration_id, codec)
+        timing = self._timings.get(arbitration_id) or self._add_timing(arbitration_id, codec, stamp_ns)
         return timing.add(codec.counter_value(little, big), stamp_ns, values)
 
     def _count_frame_without_role(self, arbitration_id: int) -> Sequence[Frame]:
@@ -197,13 +198,27 @@ class FrameDecoder:
                 return f"frame '{name}' comes as {seen}; the DBC has {own}; {remedy}"
         return ""
 
-    def ambiguous_source_message(self) -> str:
-        """Message about a frame of several senders whose role names none of them; or empty."""
+    def ambiguous_source_message(self, *, is_live: bool = False) -> str:
+        """Message about a frame of several senders at a time whose role names none of them; or empty.
+
+        A sender that has changed its address is one. ``is_live``: leave out senders that are gone.
+        """
+        latest_ns = max((timing.seen_ns for timing in self._timings.values()), default=0)
+        earliest_ns = latest_ns - _PRESENCE_NS if is_live else 0
         for frame in {
             signal_id.frame for signal_id in self._frames.bindings.signal_ids() if signal_id.source < 0
         }:
-            addresses = {timing.source for timing in self._timings.values() if timing.name == frame}
-            if len(addresses) > 1:
+            senders = [
+                one for one in self._timings.values() if one.name == frame and one.seen_ns >= earliest_ns
+            ]
+            addresses = {
+                one.source
+                for one in senders
+                for other in senders
+                if one.source != other.source
+                and max(one.first_ns, other.first_ns) < min(one.seen_ns, other.seen_ns)
+            }
+            if addresses:
                 sources = " and ".join(f"0x{source:02X}" for source in sorted(addresses))
                 remedy = "set source: one of them in its roles"
                 return f"frame '{frame}' comes from source addresses {sources}; {remedy}"
@@ -228,15 +243,15 @@ class FrameDecoder:
         timings = (timing for timing in self._timings.values() if timing.name == name)
         return max((timing.cycle_ns or 0.0 for timing in timings), default=0.0)
 
-    def _add_timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
+    def _add_timing(self, arbitration_id: int, codec: Codec, first_ns: int) -> FrameTiming:
         if len(self._timings) >= _MAX_SENDERS:
             self._timings.clear()  # a bus full of random ids
         timing: FrameTiming
         source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
         if codec.modulus:
-            timing = CountedFrames(codec.nominal_ns, codec.modulus, self._tally, codec.name, source)
+            timing = CountedFrames(codec.nominal_ns, codec.modulus, self._tally, codec.name, source, first_ns)
         else:
-            timing = UncountedFrames(codec.nominal_ns, self._tally, codec.name, source)
+            timing = UncountedFrames(codec.nominal_ns, self._tally, codec.name, source, first_ns)
         self._timings[arbitration_id] = timing
         return timing
 

@@ -72,14 +72,18 @@ class FrameTiming(ABC):
         nominal_ns: the DBC's cycle; 0: not given.
         tally: counts events, under ``name``.
         name, source: of the frames.
+        first_ns: arrival of the first frame.
+
+    Attributes:
+        seen_ns: arrival of the last frame seen.
     """
 
-    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int) -> None:
+    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int, first_ns: int = 0) -> None:
         self.name, self.source = name, source
         self._meter = CycleMeter(nominal_ns)
         self._tally = tally
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
-        self._seen_ns = 0  # arrival of the last frame seen
+        self.first_ns = self.seen_ns = first_ns
         self._stamp_ns = 0  # stamp of the last frame returned
         self._filter: PeriodicStamps | None = None
         self._filter_ns = 0.0
@@ -125,12 +129,14 @@ class CountedFrames(FrameTiming):
     """Frames of a sender with a counter.
 
     Args:
-        nominal_ns, tally, name, source: see ``FrameTiming``.
+        nominal_ns, tally, name, source, first_ns: see ``FrameTiming``.
         modulus: of the counter.
     """
 
-    def __init__(self, nominal_ns: float, modulus: int, tally: Tally, name: str, source: int) -> None:
-        super().__init__(nominal_ns, tally, name, source)
+    def __init__(
+        self, nominal_ns: float, modulus: int, tally: Tally, name: str, source: int, first_ns: int = 0
+    ) -> None:
+        super().__init__(nominal_ns, tally, name, source, first_ns)
         self._modulus = modulus
         self._count: int | None = None
         self._held: list[_HeldFrame] = []
@@ -156,9 +162,9 @@ class CountedFrames(FrameTiming):
         if self._accepted_ns is None or self._count is None:
             return [self._accept_frame(frame, 0)]
         # A repeated count is timed from the last frame seen: a stuck counter never looks like a lost turn.
-        since_ns = self._seen_ns if count == self._count else self._accepted_ns
+        since_ns = self.seen_ns if count == self._count else self._accepted_ns
         cycles, late = self._cycles_since(self._count, since_ns, count, arrival_ns)
-        self._seen_ns = arrival_ns
+        self.seen_ns = arrival_ns
         if self._possible_turns(late):
             self._held = [_HeldFrame(frame, cycles, late)]
         elif cycles:
@@ -205,15 +211,15 @@ class CountedFrames(FrameTiming):
             self._tally.add(self.name, TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
             self._meter.add(frame.arrival_ns - self._accepted_ns, cycles)
-        self._count, self._seen_ns = frame.number, frame.arrival_ns
+        self._count, self.seen_ns = frame.number, frame.arrival_ns
         return self._timed_frame(frame, cycles)
 
 
 class UncountedFrames(FrameTiming):
     """Frames of a sender without a counter."""
 
-    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int) -> None:
-        super().__init__(nominal_ns, tally, name, source)
+    def __init__(self, nominal_ns: float, tally: Tally, name: str, source: int, first_ns: int = 0) -> None:
+        super().__init__(nominal_ns, tally, name, source, first_ns)
         self._held: _Arrival | None = None
 
     def resume(self) -> None:
@@ -226,7 +232,7 @@ class UncountedFrames(FrameTiming):
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """See ``FrameTiming``."""
         frame = _Arrival(arrival_ns, values)
-        since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns
+        since_ns, self.seen_ns = arrival_ns - self.seen_ns, arrival_ns
         if self._accepted_ns is None:
             return [self._timed_frame(frame, None)]
         self._meter.add(since_ns, 1)
