@@ -169,13 +169,13 @@ def test_silent_scanner_is_not_reported_as_running_while_its_rate_is_looked_for(
 
 
 def test_the_status_of_the_scanner_is_reported(programs, observer, device):
-    """Fatal error, implausible values, restart and pollution are reported until the status clears them."""
+    """Fatal error, implausible values, restart, pollution and dazzle are reported until they end."""
     path = programs.folder / "tty"
-    status = {"byte": 0xE4}
+    status = {"byte": 0xE4, "dazzled": True}
     device(plug_sick, path, "pls", status).plug()
     healths = observer.healths()
     programs.node("sick_pls", serial_port=str(path))
-    parts = {"status": b"\2", "implausible": b"\2", "restart": b"\1", "pollution": b"\1"}
+    parts = {"status": b"\2", "implausible": b"\2", "restart": b"\1", "pollution": b"\1", "rays": b"\1"}
 
     def levels():
         last = [h for h in healths if h.name == "sick_pls"][-1:]
@@ -185,7 +185,7 @@ def test_the_status_of_the_scanner_is_reported(programs, observer, device):
     fatal = last_of(healths, "sick_pls: status")
     assert fatal.message == "scanner reports: fatal"
     assert fatal.hardware_id == str(path)
-    status["byte"] = 0
+    status.update(byte=0, dazzled=False)
     observer.wait(lambda: levels() and not parts.keys() & levels().keys(), "nothing more")
 
 

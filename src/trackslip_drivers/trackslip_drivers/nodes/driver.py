@@ -41,6 +41,7 @@ _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
 _REMEDIES = {  # text of an error of the port → remedy
     os.strerror(errno.EACCES): "add this user to the group of the port (dialout)",
+    os.strerror(errno.ENOENT): "check power and cable, and name the port as in /dev/serial/by-id",
     BUSY: "end that program",
 }
 

@@ -7,6 +7,8 @@ import threading
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from trackslip_common.nodes.health import ERROR, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
@@ -41,6 +43,7 @@ class SickNode(SerialDriverNode[SickParameters]):
         self._session = SickSession(self.settings, self.tally)
         self._scans = self.advertise(topic_class("scan"), "scan")
         self._scan_status = DeviceStatus.from_byte(0)  # of the last scan
+        self._is_blind = False  # in the last scan
 
     def activate(self) -> None:
         """Open the link, and run the dialogue in a thread: an rclpy timer costs ten times as much."""
@@ -90,6 +93,8 @@ class SickNode(SerialDriverNode[SickParameters]):
             entries.append(Health(WARN, "scanner requests a restart, or has restarted", part="restart"))
         if status.pollution:
             entries.append(Health(WARN, "front window is dirty", part="pollution"))
+        if self._is_blind:
+            entries.append(Health(WARN, "all rays are dazzled or invalid; shade or clean it", part="rays"))
         return entries
 
     def restart_decoding(self) -> None:
@@ -98,7 +103,7 @@ class SickNode(SerialDriverNode[SickParameters]):
             self._session = SickSession(self.settings, self.tally)
             if self._ending.is_set():
                 self._session.stop()
-            self._scan_status = DeviceStatus.from_byte(0)
+            self._scan_status, self._is_blind = DeviceStatus.from_byte(0), False
 
     def _run_dialogue(self, step: Callable[[], None]) -> None:
         while not self._ending.wait(
@@ -125,6 +130,7 @@ class SickNode(SerialDriverNode[SickParameters]):
             scans = self._session.receive(data, steady_ns)
         for scan in scans:
             self._scan_status = scan.status
+            self._is_blind = bool(np.isnan(scan.sample.ranges).all())
             self._scans.publish(
                 conversions.laser_scan(make, self.restamp(scan.sample), self.settings.frame_id)
             )
