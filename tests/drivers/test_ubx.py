@@ -142,6 +142,22 @@ def test_repeated_position_of_one_time_is_no_measurement():
     assert len(parser.feed(pvt(tow=TOW + 100) + fine(tow=TOW + 100), 4 * S + S // 5)) == 2
 
 
+@pytest.mark.parametrize("damage", ["changed", "cut", "long"])
+def test_damaged_messages_are_counted(damage):
+    parser, samples = NmeaStream(P, Tally()), []
+    for k in range(20):
+        whole = pvt(tow=TOW + 100 * k)
+        changed = {
+            "changed": whole[:20] + b"\x99" + whole[21:],
+            "cut": whole[:60],
+            "long": whole[:4] + b"\xff\xff",
+        }
+        samples += parser.feed(changed[damage] if k % 5 == 2 else whole, S + k * S // 10)
+    samples += parser.flush()
+    assert len([sample for sample in samples if isinstance(sample, FixSample)]) == 16
+    assert parser.tally.by_source() == {"fix": {"wrong checksum": 4}}
+
+
 def test_an_accuracy_of_zero_is_unknown():
     velocity, fix = NmeaStream(P, Tally()).feed(pvt(hAcc=0, vAcc=0, sAcc=0), S)
     assert velocity.stddev == P.velocity_stddev

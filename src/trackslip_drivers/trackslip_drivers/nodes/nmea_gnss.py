@@ -49,6 +49,7 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
             **dict.fromkeys(_TRANSIENT, "check that the antenna sees the sky"),
             Rejection.NOT_MEASURED.value: "let the receiver measure its position",
             Rejection.NO_CHECKSUM.value: "switch checksums on at the receiver",
+            Rejection.CHECKSUM.value: "check the cable and serial_baud",
             Rejection.NO_PAIR.value: "set up the base as a moving base",
             ClockEvent.UNCHANGED.value: "restart the receiver",
         }

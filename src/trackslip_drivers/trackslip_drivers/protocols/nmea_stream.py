@@ -155,6 +155,7 @@ class NmeaStream:
             self.tally.add(FIX, Rejection.OVERLONG)
         else:
             self.bytes_between_sentences += len(frame.content)
+            self.tally.add(FIX, Rejection.CHECKSUM, ubx.count_damaged(frame.content))
         return []
 
     def _note_kind(self, kind: str, ended_ns: int) -> None:

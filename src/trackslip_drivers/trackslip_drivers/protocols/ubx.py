@@ -11,6 +11,7 @@ A message is accepted, or has a reason for its rejection; other messages are ign
 """
 
 import math
+import re
 from typing import Any, NamedTuple
 
 from pyubx2 import UBX_MSGIDS, UBXReader
@@ -34,6 +35,7 @@ _LEAP_MS = 18_000  # GPS ahead of UTC since 2017
 _DAY_MS = 86_400_000
 _NAV = 0x01
 _KINDS = {0x07: "NAV-PVT", 0x14: "NAV-HPPOSLLH", 0x36: "NAV-COV", 0x3C: "NAV-RELPOSNED"}
+_BEGIN = re.compile(rb"\xb5\x62\x01[\x07\x14\x36\x3c]")  # of the messages above
 _DEAD_RECKONING, _TWO_D, _THREE_D, _COMBINED = 1, 2, 3, 4  # types of a fix
 _FIXED_AMBIGUITIES = 2  # carrier-phase ambiguities; 1: float
 
@@ -80,6 +82,11 @@ def kind_of(frame: bytes) -> str:
 def name_of(frame: bytes) -> str:
     """Name of any complete frame's message."""
     return str(UBX_MSGIDS.get(frame[2:4], "UBX"))
+
+
+def count_damaged(noise: bytes) -> int:
+    """Number of used messages that begin in bytes between complete messages: they are cut or changed."""
+    return len(_BEGIN.findall(noise))
 
 
 def decode(frame: bytes) -> Reading | Rejection | None:
