@@ -203,6 +203,12 @@ FAULTS: dict[str, tuple[Serve, str]] = {
         replies(b"HTTP/1.1 200 OK\r\nContent-Type: gnss/sourcetable\r\n\r\nSTR;OTHER;\r\n"),
         "has no such mountpoint",
     ),
+    "refuses in version 1": (replies(b"ICY 401 Unauthorized\r\n\r\n"), "refuses user or password"),
+    "refuses in words": (replies(b"ERROR - Bad Password\r\n"), "refuses user or password"),
+    "sourcetable as text": (
+        replies(b"HTTP/1.0 200 OK\r\nContent-Type: text/plain\r\n\r\nSTR;OTHER;\r\nENDSOURCETABLE\r\n"),
+        "has no such mountpoint",
+    ),
     "redirects": (replies(b"HTTP/1.1 302 Found\r\nLocation: /\r\n\r\n"), "302; check ntrip.host"),
     "web page": (replies(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\n\r\n<html>"), "a web page; check"),
     "endless header": (drips(b"HTTP/1.1 200 OK\r\nX: ", b"x"), "does not complete its answer"),

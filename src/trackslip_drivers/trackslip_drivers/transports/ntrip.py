@@ -45,6 +45,9 @@ _LONGEST_WAIT_S = 60.0  # for a complete message while bytes come
 _MAX_OTHER_BYTES = 20_000  # bytes without a complete message, which are no corrections
 _LINE_BEGINS = (string.ascii_letters + "\r\n").encode()  # of a header or an empty line; RTCM 3 begins with D3
 _LONGEST_FILE = 1024  # bytes
+_SOURCETABLE_END = b"ENDSOURCETABLE"
+_NO_MOUNTPOINT = "has no such mountpoint; check ntrip.mountpoint"
+_CHECK_CREDENTIALS = "check ntrip.credentials_file"
 _POSITION_CHECK_S = 0.2  # between checks for a position
 
 
@@ -146,7 +149,10 @@ class _Response(HTTPResponse):
         self.status, self.chunked, self.length, self.will_close = 200, False, None, True
 
     def _read_status(self) -> tuple[str, int, str]:
-        if self._first_bytes().startswith(b"SOURCETABLE"):
+        first = self._first_bytes()
+        if first.startswith((b"ICY 401", b"ERROR - Bad Password")):
+            raise _Fault(f"refuses user or password; {_CHECK_CREDENTIALS}")
+        if first.startswith(b"SOURCETABLE"):
             return "HTTP/1.0", 404, "sourcetable"
         status: tuple[str, int, str] = super()._read_status()  # type: ignore[misc]
         return status
@@ -274,9 +280,9 @@ class NtripClient:
         connection.request("GET", f"/{self._p.mountpoint}", headers=headers)
         response = self._read_response(connection)
         if response.status in (401, 403):
-            raise _Fault(f"refuses user or password ({response.status}); check ntrip.credentials_file")
+            raise _Fault(f"refuses user or password ({response.status}); {_CHECK_CREDENTIALS}")
         if response.status == 404 or response.headers.get_content_type() == "gnss/sourcetable":
-            raise _Fault("has no such mountpoint; check ntrip.mountpoint")
+            raise _Fault(_NO_MOUNTPOINT)
         if response.status != 200:
             remedy = "; check ntrip.host, ntrip.port and ntrip.tls" if response.status < 400 else ""
             raise _Fault(f"answers {response.status}{remedy}")
@@ -303,6 +309,8 @@ class NtripClient:
             if not data:
                 raise _Fault("closed the connection")
             now_s = time.monotonic()
+            if _SOURCETABLE_END in data:
+                raise _Fault(_NO_MOUNTPOINT)
             limiter.count_bytes(len(data), now_s)
             other_bytes += len(data)
             for frame in splitter.feed(data, time.monotonic_ns()):
