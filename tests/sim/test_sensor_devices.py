@@ -135,7 +135,7 @@ def test_bus_through_the_driver_in_simulated_time():
     assert device.frames_emitted == {ENCODERS: 2000, SPOOLS: 2000, PRESSURES: 2000}
     assert len(encoders) == 1999
     assert len(pressures) == 2000
-    assert set(driver.tally.total.values()) == {1}  # only the first reading of each encoder
+    assert not driver.tally.total
     per_count = 2.0 * math.pi / 12288
     right_start = encoders[0].right_position - sprockets(encoders[0].stamp_ns).right_position
     for sample in encoders[10:]:
