@@ -145,3 +145,20 @@ def test_free_slips_are_refused_where_nothing_measures_the_heading(
         return
     with pytest.raises(InputError, match=r"'free_slips' cannot tell .* heading.*; accepted: turning, icr"):
         load_slip_parameters(given, changes)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sprockets_that_creep_at_rest_do_not_determine_the_heading(seed: int) -> None:
+    """Wheel speeds with an offset of 1 mm/s."""
+    own, rng, stddev = SlipEstimator(load_slip_parameters(PARAMETERS)), np.random.default_rng(seed), 0.0
+    for k in range(2500):
+        stamp_ns, creep = (k + 1) * 20_000_000, 1e-3 / RADIUS
+        found: list[Measurement] = [Sprockets("sprockets", stamp_ns, creep, creep)]
+        found.append(imu_sample(stamp_ns, np.array((0.0, 0.0, GRAVITY)), 0.0, rng))
+        if k % 5 == 0:
+            found.append(PoseFix("gnss_pose", stamp_ns, np.append(rng.normal(0.0, FIX, 2), 0.0), COVARIANCE))
+        for m in found:
+            estimate = own.process(m)[1]
+            if estimate is not None:
+                stddev = math.sqrt(estimate.pose_covariance[2, 2])
+    assert stddev > 1.5

@@ -42,6 +42,7 @@ from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import HEADINGS, NONE
 from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.levers import is_direction_unknown, is_heading_unknown
+from trackslip_estimation.slip.models.speed import SLOWEST
 from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
@@ -146,8 +147,12 @@ def begin_row(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def is_moving_without_heading(state: State, c: Config) -> bool:
-    """Whether the tracks move the machine, and its heading is unknown: now a prediction depends on it."""
-    moves = not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0)
+    """Whether the tracks move the machine, and its heading is unknown: now a prediction depends on it.
+
+    Tracks that creep may not move it: speeds at rest have offsets.
+    """
+    fastest = c.rolling_radius * max(abs(state.speeds.left), abs(state.speeds.right))
+    moves = not state.coasting and fastest > SLOWEST
     return bool(moves and is_heading_unknown(state) and not is_direction_unknown(state, c))
 
 

@@ -93,8 +93,8 @@ class SpeedConstants(Record):
 CONSTANTS = dtype_of(SpeedConstants)
 
 _DELAY_WALK = 0.1  # 1/√s, random walk of δ: the machine lags behind its tracks by a varying time
-_SLOWEST = 0.02  # m/s, least speed of track or vehicle at which slip and slip angle are defined
-_CREEP = _SLOWEST / 2.0  # m/s, largest assumed speed of a slower track
+SLOWEST = 0.02  # m/s, least speed of track or vehicle at which slip and slip angle are defined
+_CREEP = SLOWEST / 2.0  # m/s, largest assumed speed of a slower track
 _SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
 
@@ -311,7 +311,7 @@ def slips(
 ) -> FloatArray:
     """(3,) i_L, i_R, α from the twist and the sprockets.
 
-    A track below ``_SLOWEST`` turns at an unknown low speed. Its slip is the smaller of i₀ and the slip at
+    A track below ``SLOWEST`` turns at an unknown low speed. Its slip is the smaller of i₀ and the slip at
     the speed ``_CREEP``, at which it skids.
     """
     v_x, v_y, rate = twist_
@@ -320,11 +320,11 @@ def slips(
         track = c.rolling_radius * (left if side == 0 else right)
         sign = -1.0 if side == 0 else 1.0
         frame = v_x + sign * rate * c.tread / 2.0
-        if abs(track) < _SLOWEST:
+        if abs(track) < SLOWEST:
             values[side] = min(x[COMMON_SLIP], 1.0 - abs(frame) / _CREEP)
         else:
             values[side] = 1.0 - frame / track
-    if abs(v_x) >= _SLOWEST:
+    if abs(v_x) >= SLOWEST:
         values[2] = math.atan(v_y / v_x)
     return values
 
@@ -340,12 +340,12 @@ def slips_jacobian(
         track = c.rolling_radius * speeds[side]
         sign = -1.0 if side == 0 else 1.0
         frame = v_x + sign * rate * c.tread / 2.0
-        if abs(track) < _SLOWEST and x[COMMON_SLIP] <= 1.0 - abs(frame) / _CREEP:
+        if abs(track) < SLOWEST and x[COMMON_SLIP] <= 1.0 - abs(frame) / _CREEP:
             S[side, COMMON_SLIP] = 1.0
         else:
-            if abs(track) < _SLOWEST:
+            if abs(track) < SLOWEST:
                 track = math.copysign(_CREEP, frame)
             S[side] = -(J[0] + sign * c.tread / 2.0 * J[2]) / track
-    if abs(v_x) >= _SLOWEST:
+    if abs(v_x) >= SLOWEST:
         S[2] = (v_x * J[1] - v_y * J[0]) / (v_x * v_x + v_y * v_y)
     return S
