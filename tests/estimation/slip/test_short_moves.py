@@ -31,8 +31,9 @@ def with_wrong_encoders(recording: Recording, left: float, right: float, begin: 
         now = np.array(m.positions)
         shift += (factors - 1.0) * (now - before)
         before = now
-        speeds = (factors * (m.left_speed, m.right_speed)).tolist()
-        changed.append(Sprockets(m.source, m.stamp_ns, *speeds, tuple((now + shift).tolist())))
+        angle_left, angle_right = (now + shift).tolist()
+        speed_left, speed_right = float(factors[0]) * m.left_speed, float(factors[1]) * m.right_speed
+        changed.append(Sprockets(m.source, m.stamp_ns, speed_left, speed_right, (angle_left, angle_right)))
     return changed
 
 
