@@ -159,8 +159,8 @@ def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
 @pytest.mark.parametrize("heading_noise", [10.0, 0.02])  # rad; of one antenna, and of two
 def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> None:
     """The displacement of the fixes grows within 6 s, lasts for 10 s, and ends."""
-    rms, nees = np.median([off_evenly(part, heading_noise) for part in range(0, 12, 2)], axis=0)
-    assert rms < 0.18
+    rms, nees = np.median([off_evenly(part, heading_noise) for part in range(12)], axis=0)
+    assert rms < 0.22
     assert nees < 3.5
 
 

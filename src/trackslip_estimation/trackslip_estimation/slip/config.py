@@ -86,7 +86,7 @@ class Config(Record):
     levers: Annotated[FloatArray, (MOST_SOURCES, 3)]  # m
     above: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether on the upper structure
     rate_scale: Annotated[FloatArray, MOST_SOURCES]  # signed scale of a gyro
-    carries_heading: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether a gyro on the undercarriage
+    is_gyro: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
     stamp_errors: Annotated[FloatArray, MOST_SOURCES]  # σ_t, s
     use_heading: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
     use_altitude: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
@@ -222,8 +222,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
     c["shows_motion"][[TRACKS, *(numbers[name] for name in p.odometries())]] = 1
     c["shows_motion"][[GYROS, BRAKE]] = bool(p.gyros()), bool(above)
     for name, gyro in p.gyros().items():
-        c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
-        c["carries_heading"][numbers[name]] = not gyro.above
+        c["rate_scale"][numbers[name]], c["is_gyro"][numbers[name]] = gyro.sign * gyro.scale, 1
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude, measures_height=p.measures_height), -1
     if p.tilt_source is not None:
         imu = p.gyros()[p.tilt_source]

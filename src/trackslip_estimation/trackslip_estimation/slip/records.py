@@ -289,6 +289,7 @@ class Branch(Record):
     cusum: Annotated[FloatArray, 4]  # of innovations: ahead, behind, left, right
     slip_cost: float  # by which an implausible slip has lowered w since it was plausible
     course: float  # q of ``bank.course``: how strongly fixes confirm the heading
+    course_ns: int  # stamp of the latest fix that agreed
     course_from: Annotated[FloatArray, 2]  # field ``displacement`` of the state at the latest fix, m
     snapshots: Annotated[Table[Snapshot], 2]
 

@@ -11,8 +11,9 @@
 A heading that differs by ±θ predicts a displacement R(±θ) d. So ln of the odds against it grows at each fix
 by (|z − R d|² − |z − d|²)/2S = (1 − cos θ) d·z/S, on average over both signs; an outlier counts like ν of
 ``cusum_largest`` standard deviations. Fixes confirm a heading only while the tracks grip: with a slip of 1 or
-more they may move the machine in any direction. A gyro on the undercarriage measures all turns since: what
-confirmed the heading before still holds. Without its readings q is zero.
+more they may move the machine in any direction. A gyro measures all turns since, on the cab together with an
+encoder of the swing: what confirmed the heading before still holds. Without their readings q is zero, and
+after ``look_back_time`` without a fix that agrees, in which a gyro may have failed unseen.
 """
 
 from __future__ import annotations
@@ -26,8 +27,14 @@ from trackslip_estimation.slip.bank.plausibility import is_gripping
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.levers import is_heading_unknown
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.records import GYROS, MOST_SOURCES
-from trackslip_estimation.slip.source_faults import IS_HEALTHY, has_failed_unit, is_displacement_measured
+from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER
+from trackslip_estimation.slip.source_faults import (
+    IS_HEALTHY,
+    has_failed_unit,
+    has_fault,
+    is_displacement_measured,
+)
+from trackslip_estimation.slip.weighing import contradiction_limit
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -42,9 +49,14 @@ def update_course(window: Window, s: int, k: int, c: Config) -> None:
     east = state.displacement[X] - branch.course_from[X]
     north = state.displacement[Y] - branch.course_from[Y]
     branch.course_from[:] = state.displacement
+    measurement = window.measurements[k]
+    is_measured = is_displacement_measured(state.fault[measurement.source])
+    if is_measured and update.nis <= contradiction_limit(update.dof, c):
+        branch.course = _remaining_course(branch, measurement.stamp_ns, c)
+        branch.course_ns = measurement.stamp_ns
     if state.is_sector or is_heading_unknown(state) or not _is_heading_carried(state, c):
         branch.course = 0.0
-    elif _is_course_measured(state, window.measurements[k].source, c):
+    elif _is_course_measured(state, measurement.source, c):
         P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
         variance = update.stated * update.stated + (P[X, X] + P[Y, Y]) / 2.0
         ahead, left = cos * east + sin * north, cos * north - sin * east
@@ -63,16 +75,32 @@ def _is_course_measured(state: State, source: int, c: Config) -> bool:
 
 @compiled
 def _is_heading_carried(state: State, c: Config) -> bool:
-    """Whether a gyro on the undercarriage measures the yaw rate."""
+    """Whether a gyro measures the yaw rate of the undercarriage, on the cab with an encoder of the swing."""
+    if state.fault[GYROS] != IS_HEALTHY:
+        return False
+    on_undercarriage = on_cab = measures_swing = False
     for source in range(MOST_SOURCES):
-        silent_ns = state.stamp_ns - state.consistent_ns[source]
-        if c.carries_heading[source] == 1 and silent_ns < c.sprocket_timeout_ns:
-            return bool(state.fault[GYROS] == IS_HEALTHY)
-    return False
+        if state.stamp_ns - state.consistent_ns[source] < c.sprocket_timeout_ns:
+            is_above = c.above[source] == 1
+            on_undercarriage |= c.is_gyro[source] == 1 and not is_above
+            on_cab |= c.is_gyro[source] == 1 and is_above
+            measures_swing |= c.measures_swing[source] == 1 and not has_fault(state, source)
+    return bool(on_undercarriage or (on_cab and measures_swing))
 
 
 @compiled
-def log_odds_against_turn(branch: Branch, part: int) -> float:
-    """ln of the odds of the heading against one in sector ``part`` from it; in its own: σ of it off."""
-    angle, variance = sector_angle(part)
-    return (1.0 - math.cos(angle if part > 0 else math.sqrt(variance))) * float(branch.course)
+def _remaining_course(branch: Branch, stamp_ns: int, c: Config) -> float:
+    """q at a stamp: 0 if no fix has agreed for ``look_back_time``."""
+    return float(branch.course if stamp_ns - branch.course_ns <= c.bank.look_back_time * 1e9 else 0.0)
+
+
+@compiled
+def log_odds_against_turn(window: Window, p: int, k: int, part: int, c: Config) -> float:
+    """ln of the odds of the heading of branch p, up to its snapshot before k, against that of another sector.
+
+    In its own sector, ``part`` 0: against one that is off by the standard deviation of a sector.
+    """
+    branch, (angle, variance) = window.branches[p, k - 1], sector_angle(part)
+    snapshot_ns = window.measurements[branch.snapshots[OLDER].entry].stamp_ns
+    against = 1.0 - math.cos(angle if part > 0 else math.sqrt(variance))
+    return against * _remaining_course(branch, snapshot_ns, c)

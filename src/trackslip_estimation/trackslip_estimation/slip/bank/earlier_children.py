@@ -131,7 +131,7 @@ def make_sector_children(
         cost = window.branches[p, k - 1].slip_cost if before.mean[COMMON_SLIP] > 1.0 else 0.0
         for part in range(HEADINGS):  # the reversed machine has not had the slip that cost the parent
             log_prior = max(prior, min(prior + cost, 0.0)) if part == REVERSED else prior
-            against = log_odds_against_turn(window.branches[p, k - 1], part)
+            against = log_odds_against_turn(window, p, k, part, c)
             if against < _IMPOSSIBLE:
                 add_child(window, p, k, TURNED, source, part, True, log_prior - against, c)
 
@@ -144,7 +144,7 @@ def make_recovered_sector_children(window: Window, p: int, k: int, c: Config) ->
     """
     source, is_unknown = window.measurements[k].source, is_heading_unknown(window.states[p, k - 1])
     for part in range(HEADINGS):
-        against = log_odds_against_turn(window.branches[p, k - 1], part)
+        against = log_odds_against_turn(window, p, k, part, c)
         if not (is_unknown or part == REVERSED) or against >= _IMPOSSIBLE:
             continue
         count = window.status[0].pooled

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.child import add_sector_event
 from trackslip_estimation.slip.bank.children import create_children, create_failure_children
@@ -141,7 +142,8 @@ def begin_row(window: Window, k: int, c: Config) -> None:
     copy_error_models(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
     branch.weight, branch.events, branch.fresh = 0.0, 0, 0
-    branch.cusum[:], branch.slip_cost, branch.course, branch.course_from[:] = 0.0, 0.0, 0.0, 0.0
+    branch.cusum[:], branch.slip_cost = 0.0, 0.0
+    branch.course, branch.course_ns, branch.course_from[:] = 0.0, NEVER_NS, 0.0
     _reset_snapshots(window, 0, k)
 
 
