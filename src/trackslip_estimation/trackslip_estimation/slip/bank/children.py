@@ -427,7 +427,3 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         add_child(window, p, k, TURNED, source, MEASURED, False, jumped, c)
         for unit in (GYROS, BRAKE):
             make_failed_unit_child(window, p, k, unit, 0.0, c)
-    elif m.kind == ON_SWING and (c.is_gyro * c.above).any():  # a gyro on the cab measures the swing too
-        make_failed_unit_child(window, p, k, GYROS, 0.0, c)
-        if before.fault[GYROS] == IS_HEALTHY:
-            add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, 0.0, c)
