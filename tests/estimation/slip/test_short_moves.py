@@ -5,24 +5,31 @@
 Wrong encoders may fit a machine that faces the other way. The gyro measured no such turn.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
-from fixtures.drawn_machine import GNSS, Recording, parameters
+from fixtures.drawn_machine import GNSS, parameters
 from fixtures.fault_cases.case import seconds
 from fixtures.pose_errors import errors_over
 from fixtures.short_moves import work
+from fixtures.swinging_cab import Cab, dig, record
 
 from trackslip_estimation.slip.measurements import Measurement, Sprockets
+from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FAULT = 30.0  # s
 P = parameters(**GNSS)
+ONE_ANTENNA = {"sources.box_pose.use_heading": False, "initial_yaw_stddev": 0.02}
 
 
-def with_wrong_encoders(recording: Recording, left: float, right: float, begin: float) -> list[Measurement]:
+def with_wrong_encoders(
+    measurements: Iterable[Measurement], left: float, right: float, begin: float
+) -> list[Measurement]:
     """The drive with encoders that measure ``left`` and ``right`` times the true motion for ``FAULT`` s."""
     changed: list[Measurement] = []
     shift, before = np.zeros(2), np.zeros(2)
-    for m in recording.measurements:
+    for m in measurements:
         if not isinstance(m, Sprockets):
             changed.append(m)
             continue
@@ -43,11 +50,19 @@ def with_wrong_encoders(recording: Recording, left: float, right: float, begin: 
 )
 def test_wrong_encoders_do_not_turn_the_heading(left: float, right: float, seed: int) -> None:
     recording = work(seed)
-    errors, _ = errors_over(with_wrong_encoders(recording, left, right, 40.0), recording, P)
+    errors, _ = errors_over(with_wrong_encoders(recording.measurements, left, right, 40.0), recording, P)
     moved = errors.between(10.0)
     assert moved.heading_nees < 5.0
     assert np.abs(moved.between(110.0).off[:, 2]).max() < 0.15
     assert moved.rms < 0.2
+
+
+@pytest.mark.parametrize("begin", [40.0, 60.0, 80.0])
+def test_reversed_encoders_do_not_turn_the_heading_below_a_cab_with_the_gyro(begin: float) -> None:
+    drive = record([*dig(), *dig(1.5), *dig(-1.0), *dig(2.0)], Cab(fix_hertz=5.0))
+    wrong = with_wrong_encoders(drive.measurements, -1.0, -1.0, begin)
+    errors, _ = errors_over(wrong, drive, load_slip_parameters({"vehicle": "pc05_cab"}, GNSS, ONE_ANTENNA))
+    assert errors.between(10.0).heading_nees < 5.0
 
 
 @pytest.mark.parametrize("seed", range(4))
