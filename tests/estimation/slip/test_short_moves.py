@@ -6,16 +6,17 @@ Wrong encoders may fit a machine that faces the other way. The gyro measured no 
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS, parameters
 from fixtures.fault_cases.case import seconds
 from fixtures.pose_errors import errors_over
-from fixtures.short_moves import work
+from fixtures.short_moves import RATE, work
 from fixtures.swinging_cab import Cab, dig, record
 
-from trackslip_estimation.slip.measurements import Measurement, Sprockets
+from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, Sprockets
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FAULT = 30.0  # s
@@ -63,6 +64,36 @@ def test_reversed_encoders_do_not_turn_the_heading_below_a_cab_with_the_gyro(beg
     wrong = with_wrong_encoders(drive.measurements, -1.0, -1.0, begin)
     errors, _ = errors_over(wrong, drive, load_slip_parameters({"vehicle": "pc05_cab"}, GNSS, ONE_ANTENNA))
     assert errors.between(10.0).heading_nees < 5.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_manual_pose_that_faces_the_wrong_way_is_corrected_by_fixes(seed: int) -> None:
+    recording, at = work(seed), 60.0
+    true = recording.poses[round(at * RATE)] + (0.0, 0.0, np.pi)
+    pose = PoseFix(SET_POSE, 10**9 + round(at * 1e9), true, np.diag((0.01, 0.01, 0.01)))
+    measurements = sorted([*recording.measurements, pose], key=lambda m: m.stamp_ns)
+    errors, _ = errors_over(measurements, recording, P)
+    assert np.abs(errors.between(at, at + 1.0).off[:, 2]).max() > 3.0
+    assert np.abs(errors.between(at + 50.0).off[:, 2]).max() < 0.15
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_heading_in_a_site_frame_that_is_turned_is_found_within_two_minutes(seed: int) -> None:
+    """The fixes are turned about the machine, as after a change of the datum."""
+    recording, at, end = work(seed, 240.0), 60.0, 240.0
+    centre, angle = recording.poses[round(at * RATE), :2], 2.5
+    turn = np.array(((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))))
+    true = recording.poses.copy()
+    true[recording.t >= at, :2] = centre + (true[recording.t >= at, :2] - centre) @ turn.T
+    true[recording.t >= at, 2] += angle
+    measurements = [
+        replace(m, pose=np.append(centre + turn @ (m.pose[:2] - centre), 0.0))
+        if isinstance(m, PoseFix) and seconds(m) >= at
+        else m
+        for m in recording.measurements
+    ]
+    errors, _ = errors_over(measurements, recording._replace(poses=true), P)
+    assert np.abs(errors.between(at + 120.0, end).off[:, 2]).max() < 0.15
 
 
 @pytest.mark.parametrize("seed", range(4))

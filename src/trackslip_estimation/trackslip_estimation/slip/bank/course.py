@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """How strongly earlier fixes confirm the heading of a branch, while a gyro carries it; compiled.
 
-    d    predicted displacement between two fixes                                   m
-    ν    innovation of the later fix, z = d + ν: measured displacement              m
+    d    predicted displacement between two fixes along the heading                 m
+    ν    innovation of the later fix along it, z = d + ν: measured displacement     m
     S    variance of the innovation, by axis                                        m²
-    q    Σ d·z/S, at least 0                                                        1
+    q    Σ d z/S, 0 to 300                                                          1
     θ    angle by which another explanation turns the heading                       rad
 
-A heading that differs by ±θ predicts a displacement R(±θ) d. So ln of the odds against it grows at each fix
-by (|z − R d|² − |z − d|²)/2S = (1 − cos θ) d·z/S, on average over both signs; an outlier counts like ν of
-``cusum_largest`` standard deviations. Fixes confirm a heading only while the tracks grip: with a slip of 1 or
-more they may move the machine in any direction. A gyro measures all turns since, on the cab together with an
-encoder of the swing: what confirmed the heading before still holds. Without their readings q is zero, and
-after ``look_back_time`` without a fix that agrees, in which a gyro may have failed unseen.
+A heading that differs by ±θ predicts a displacement turned by ±θ. So ln of the odds against it grows at each
+fix by (1 − cos θ) d z/S, on average over both signs; an outlier counts like ν of ``cusum_largest`` standard
+deviations. A displacement across the heading counts nothing: a centre of rotation on the other side explains
+it with the reversed heading. Neither do tracks that do not grip: with a slip of 1 or more they may move the
+machine in any direction.
+
+A gyro measures all turns since, on the cab together with an encoder of the swing: what confirmed the heading
+before still holds. Without their readings q is zero, and after ``look_back_time`` without a fix that agrees:
+a gyro may have failed unseen. It decays while the sprockets are assumed to fail: a heading that no track
+confirms for a minute may be wrong after all.
 """
 
 from __future__ import annotations
@@ -41,6 +45,9 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import Branch, State
 
+_MOST = 300.0  # q
+_MEMORY = 20.0  # s, of q while sprockets or an odometry have failed
+
 
 @compiled
 def update_course(window: Window, s: int, k: int, c: Config) -> None:
@@ -53,17 +60,18 @@ def update_course(window: Window, s: int, k: int, c: Config) -> None:
     is_measured = is_displacement_measured(state.fault[measurement.source])
     if is_measured and update.nis <= contradiction_limit(update.dof, c):
         branch.course = _remaining_course(branch, measurement.stamp_ns, c)
+        if has_failed_unit(state):
+            branch.course *= math.exp((branch.course_ns - measurement.stamp_ns) * 1e-9 / _MEMORY)
         branch.course_ns = measurement.stamp_ns
     if state.is_sector or is_heading_unknown(state) or not _is_heading_carried(state, c):
         branch.course = 0.0
     elif _is_course_measured(state, measurement.source, c):
         P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
         variance = update.stated * update.stated + (P[X, X] + P[Y, Y]) / 2.0
-        ahead, left = cos * east + sin * north, cos * north - sin * east
-        e, most = update.whitened, c.bank.cusum_largest
-        innovation = ahead * min(max(e[0], -most), most) + left * min(max(e[1], -most), most)
-        confirmed = (east * east + north * north) / variance + innovation / math.sqrt(variance)
-        branch.course = max(branch.course + confirmed, 0.0)
+        ahead, most = cos * east + sin * north, c.bank.cusum_largest
+        innovation = min(max(update.whitened[0], -most), most) * math.sqrt(variance)
+        confirmed = ahead * (ahead + innovation) / variance
+        branch.course = min(max(branch.course + confirmed, 0.0), _MOST)
 
 
 @compiled

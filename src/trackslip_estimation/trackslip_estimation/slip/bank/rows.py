@@ -44,7 +44,7 @@ from trackslip_estimation.slip.events import HEADINGS, NONE
 from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.levers import is_direction_unknown, is_heading_unknown
 from trackslip_estimation.slip.models.speed import SLOWEST
-from trackslip_estimation.slip.records import HEADING, OLDER, ON_SWING, POSE, YOUNGER
+from trackslip_estimation.slip.records import HEADING, MANUAL, OLDER, ON_SWING, POSE, YOUNGER
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     IS_IGNORED,
@@ -119,6 +119,9 @@ def finish_row(window: Window, k: int, total: int, changes_weights: bool, c: Con
     if changes_weights:
         prune_row(window, k, total, c)
         reset_receivers_after_turn(window, k, c)
+    if window.measurements[k].source == MANUAL:
+        for s in range(window.counts[k]):
+            window.branches[s, k].course = 0.0  # no fix has confirmed the heading that a user set
     advance_snapshots(window, k, c)
     if is_moving_without_heading(window.states[0, k], c):
         split_unknown_heading(window, k, c)
