@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encoders fail for a while on a site, where a machine turns on the spot and reverses, with a gyro and fixes.
 
-Wrong encoders may fit a machine that faces the other way. The gyro measured no such turn.
+Wrong encoders may fit a machine with a reversed heading. The gyro measured no such turn.
 """
 
 from collections.abc import Iterable
@@ -67,7 +67,7 @@ def test_reversed_encoders_do_not_turn_the_heading_below_a_cab_with_the_gyro(beg
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_manual_pose_that_faces_the_wrong_way_is_corrected_by_fixes(seed: int) -> None:
+def test_a_manual_pose_with_a_reversed_heading_is_corrected_by_fixes(seed: int) -> None:
     recording, at = work(seed), 60.0
     true = recording.poses[round(at * RATE)] + (0.0, 0.0, np.pi)
     pose = PoseFix(SET_POSE, 10**9 + round(at * 1e9), true, np.diag((0.01, 0.01, 0.01)))
