@@ -49,9 +49,10 @@ def is_stuck(state: State, c: Config) -> bool:
 
 @compiled
 def is_gripping(state: State, c: Config) -> bool:
-    """Whether a branch assumes that the tracks grip: i₀ is in its range and nearer to 0 than to 1."""
-    is_usual = has_velocity_errors(c) and state.mean[COMMON_SLIP] < 2.0 * c.events.slip_stddev
-    return bool(is_usual and state.mean[COMMON_SLIP] > c.bank.least_slip)
+    """Whether a branch assumes that the tracks grip: they do not spin, and i₀ is in its range."""
+    return bool(
+        has_velocity_errors(c) and not is_stuck(state, c) and state.mean[COMMON_SLIP] > c.bank.least_slip
+    )
 
 
 @compiled
