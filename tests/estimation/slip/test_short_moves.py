@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Encoders fail for a while on a site, where a machine turns on the spot and reverses, with a gyro and fixes.
+"""Encoders or gyros fail for a while on a site, where a machine turns on the spot and reverses, with fixes.
 
 Wrong encoders may fit a machine with a reversed heading. The gyro measured no such turn.
 """
@@ -16,7 +16,8 @@ from fixtures.pose_errors import errors_over
 from fixtures.short_moves import RATE, work
 from fixtures.swinging_cab import Cab, dig, record
 
-from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, Sprockets
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FAULT = 30.0  # s
@@ -47,15 +48,39 @@ def with_wrong_encoders(
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(
-    ("left", "right"), [(-1.0, -1.0), (0.0, 1.0), (0.5, 1.0)], ids=["reversed", "left stuck", "left half"]
+    ("left", "right"),
+    [(-1.0, -1.0), (0.0, 1.0), (1.0, 0.0), (0.5, 0.5)],
+    ids=["reversed", "left stuck", "right stuck", "half"],
 )
-def test_wrong_encoders_do_not_turn_the_heading(left: float, right: float, seed: int) -> None:
+def test_wrong_encoders_turn_neither_heading_nor_position(left: float, right: float, seed: int) -> None:
     recording = work(seed)
     errors, _ = errors_over(with_wrong_encoders(recording.measurements, left, right, 40.0), recording, P)
     moved = errors.between(10.0)
     assert moved.heading_nees < 5.0
     assert np.abs(moved.between(110.0).off[:, 2]).max() < 0.15
-    assert moved.rms < 0.2
+    assert moved.rms < 0.06
+    assert moved.inconsistent < 0.06
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gyro_that_measures_twice_the_rate_does_not_reverse_the_heading_for_good(seed: int) -> None:
+    recording = work(seed)
+    measurements = [
+        replace(m, rate=2.0 * m.rate) if isinstance(m, YawRate) and 40.0 <= seconds(m) < 40.0 + FAULT else m
+        for m in recording.measurements
+    ]
+    errors, _ = errors_over(measurements, recording, P)
+    assert np.abs(errors.between(115.0).off[:, 2]).max() < 0.2
+    assert errors.between(10.0).rms < 0.06
+
+
+def test_encoders_that_count_backwards_are_named() -> None:
+    recording, estimator, named = work(1), SlipEstimator(P), set[str]()
+    for m in with_wrong_encoders(recording.measurements, -1.0, -1.0, 40.0):
+        estimator.process(m)
+        if seconds(m) > 40.0:
+            named.add(estimator.competing_explanations.explanations[0].text)
+    assert "sprockets count backwards" in named
 
 
 @pytest.mark.parametrize("begin", [40.0, 60.0, 80.0])

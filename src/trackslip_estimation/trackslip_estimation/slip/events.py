@@ -30,7 +30,7 @@ before the measurement that the event explains. "Since": after the latest consis
     FAILED           speed and yaw rate: the sprockets do not measure    since
                      the motion (encoder fault, towed, slides); the
                      same, and the offset of a coarse receiver; or       or earlier
-                     i₀, about −1: half of their counts are lost; or
+                     i₀: they measure it to a factor; or
                      heading: the gyros do not measure the yaw rate; or
                      i₀: odometry measures another motion; or
                      σ̇: the upper structure swings while the tracks drive
@@ -106,10 +106,9 @@ HEADINGS = 8  # branches of an unknown heading, one for each sector of the circl
 ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of a uniform heading
 REVERSED = HEADINGS // 2  # ``part``: half a turn
 MEASURED = -1  # ``part``: the heading is that of a compass
-LOST = 1  # ``part``: half of the counts of the sprockets are lost
 STUCK = 1  # ``part``: both tracks slip by 100 %
 ANGLES = 1  # ``part``: the fault of headings or swing angles ended
-HIDDEN = 2  # ``part``: the sprockets failed earlier, which the offset of a coarse receiver hid
+HIDDEN = 1  # ``part``: the sprockets failed earlier, which the offset of a coarse receiver hid
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,6 +100,10 @@ _JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
 _OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
 _ENDED = (*_FAULTS, Event.OUTLIER, Event.RECOVERED)  # of a branch in which no source is at fault
+_MISCOUNTS = {
+    SourceFault.COUNTS_HALF: "{source} count half of the distance",
+    SourceFault.COUNTS_BACKWARDS: "{source} count backwards",
+}
 _FAILURES, BRAKE_NAME = "{source} and motion disagree", "swing brake"
 _BRAKE_WORDS = {
     Event.FAILED: "the upper structure swings while the tracks drive",
@@ -254,8 +258,8 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
     name, first = sources.names[number], sources.offsets[number]
     if fault is SourceFault.FAILED:
         return _event_text(Event.FAILED, name, is_swing_source=False)
-    if fault is SourceFault.MISCOUNTS:
-        return f"{name} count half of the distance"
+    if fault in _MISCOUNTS:
+        return _MISCOUNTS[fault].format(source=name)
     if fault in (SourceFault.REPEATS, SourceFault.STAYS, SourceFault.WANDERS):
         return _WORDS[Event[fault.name]].format(source=name)
     if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):

@@ -26,7 +26,7 @@ from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.motion import Motion, steady_speeds
 from trackslip_estimation.slip.records import TRACKS
-from trackslip_estimation.slip.source_faults import IS_MISCOUNTING
+from trackslip_estimation.slip.source_faults import is_miscounting
 from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.tilt import fill_tilt
 
@@ -46,7 +46,7 @@ def fill_estimate(state: State, c: Config, estimate: EstimateRecord) -> None:
     fill_tilt(state, estimate)
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
-    if state.fault[TRACKS] == IS_MISCOUNTING:  # its slips are not those of the ground
+    if is_miscounting(state.fault[TRACKS]):  # the soil estimator uses the sprockets as measured
         estimate.motion = _UNKNOWN
 
 

@@ -246,10 +246,11 @@ HISTORY = 16  # latest events of a branch
 class EventRecord(Record):
     """An event of a branch, and the step in which it opened states.
 
-    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``LOST``,
-    ``HIDDEN`` or ``STUCK``; ``ANGLES``: the fault of the source's angles ended, not that of its positions.
-    ``value`` is the standard deviation, m, of a skid, an offset, or a displaced machine. Of a slip or a bias
-    that changed earlier it is the time since then, s, in which the offset of a coarse receiver absorbed it.
+    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``HIDDEN``,
+    ``STUCK``, or the fault of sprockets that miscount; ``ANGLES``: the fault of the source's angles ended,
+    not that of its positions. ``value`` is the standard deviation, m, of a skid, an offset, or a displaced
+    machine. Of a slip or a bias that changed earlier it is the time since then, s, in which the offset of a
+    coarse receiver absorbed it.
     """
 
     event: int  # of ``events.Event``
@@ -290,7 +291,7 @@ class Branch(Record):
     slip_cost: float  # by which an implausible slip has lowered w since it was plausible
     course: float  # q of ``bank.course``: how strongly fixes confirm the heading
     course_ns: int  # stamp of the latest fix that agreed
-    course_from: Annotated[FloatArray, 2]  # field ``displacement`` of the state at the latest fix, m
+    course_from: Annotated[FloatArray, 3]  # ``displacement`` of the state at the latest fix, m; heading, rad
     snapshots: Annotated[Table[Snapshot], 2]
 
 

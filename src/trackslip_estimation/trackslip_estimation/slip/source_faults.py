@@ -37,8 +37,9 @@ class SourceFault(IntEnum):
     STAYS = 6  # fixes jitter about a constant position
     HEADING_OFF = 7  # headings or swing angles have a constant offset; positions are correct
     HEADING_WANDERS = 8  # headings or swing angles have an offset that walks
-    MISCOUNTS = 9  # sprockets measure half of the motion
-    WANDERS = 10  # positions drift with a nearly constant velocity; none is used
+    WANDERS = 9  # positions drift with a nearly constant velocity; none is used
+    COUNTS_HALF = 10  # sprockets measure half of the motion
+    COUNTS_BACKWARDS = 11  # sprockets measure the opposite motion
 
 
 (
@@ -51,8 +52,9 @@ class SourceFault(IntEnum):
     IS_STAYING,
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
-    IS_MISCOUNTING,
     IS_WANDERING,
+    IS_COUNTING_HALF,
+    IS_COUNTING_BACKWARDS,
 ) = map(int, SourceFault)
 
 
@@ -79,7 +81,19 @@ def is_displacement_measured(fault: int) -> bool:
 @compiled
 def is_failed(fault: int) -> bool:
     """Whether a unit does not measure the motion, or only to a factor."""
-    return fault in (IS_FAILED, IS_MISCOUNTING)
+    return bool(fault == IS_FAILED or is_miscounting(fault))
+
+
+@compiled
+def is_miscounting(fault: int) -> bool:
+    """Whether sprockets measure the motion to a factor."""
+    return fault >= IS_COUNTING_HALF
+
+
+@compiled
+def count_factor(fault: int) -> float:
+    """True over measured speed of sprockets that miscount."""
+    return 2.0 if fault == IS_COUNTING_HALF else -1.0
 
 
 @compiled
@@ -91,7 +105,7 @@ def has_no_fault(state: State) -> bool:
 @compiled
 def has_failed_unit(state: State) -> bool:
     """Whether a branch assumes that sprockets, gyros or an odometry have failed."""
-    return bool(((state.fault == IS_FAILED) | (state.fault == IS_MISCOUNTING)).any())
+    return bool(((state.fault == IS_FAILED) | (state.fault >= IS_COUNTING_HALF)).any())
 
 
 @compiled

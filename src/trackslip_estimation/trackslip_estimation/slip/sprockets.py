@@ -9,7 +9,8 @@ variance of extrapolated speeds grows with time, up to that of unknown speeds (`
 and a first sample within the timeout, the speeds are those of that sample, with an uncertainty
 (``coasting.inflate_start_pose``).
 
-While a branch assumes that the sprockets have failed (``events.FAILED``), all time is silence.
+While a branch assumes that the sprockets have failed (``events.FAILED``), all time is silence. While it
+assumes that they miscount, the speeds are those measured times ``count_factor``.
 
 Speeds are differences of positions where the positions are continuous; else the speeds of the closing sample.
 Both are filtered by their quantisation (``counts``).
@@ -28,7 +29,7 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.counts import begin_counts, filter_counts, store_counts
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
-from trackslip_estimation.slip.source_faults import IS_FAILED
+from trackslip_estimation.slip.source_faults import IS_FAILED, count_factor, is_miscounting
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -49,19 +50,41 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
     is_sample = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start
         is_in_time = is_sample and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
-        return stamp_ns if is_in_time and set_interval_speeds(sample, closing, c, speeds) else NEVER_NS
+        return stamp_ns if is_in_time and close_interval(state, closing, c) else NEVER_NS
     if is_sample and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns:
-        return stamp_ns if set_interval_speeds(sample, closing, c, speeds) else sample.stamp_ns
+        return stamp_ns if close_interval(state, closing, c) else sample.stamp_ns
     if not sample.known:
         return int(sample.stamp_ns)
     _copy_speeds(sample.speeds, speeds)
+    _correct_counts(speeds, state.fault[TRACKS])
     known_ns = int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
     state.time_since_sample = ((state.stamp_ns - sample.stamp_ns) + (known_ns - sample.stamp_ns)) / 2.0 * 1e-9
     return known_ns
 
 
 @compiled
-def set_interval_speeds(
+def close_interval(state: State, closing: MeasurementRecord, c: Config) -> bool:
+    """Set ``state.speeds`` to the mean speeds up to the sample ``closing``; return whether they are known."""
+    is_known = _set_interval_speeds(state.sample, closing, c, state.speeds)
+    if is_known:
+        _correct_counts(state.speeds, state.fault[TRACKS])
+    return bool(is_known)
+
+
+@compiled
+def _correct_counts(speeds: SpeedsRecord, fault: int) -> None:
+    """Correct measured speeds by the factor of sprockets that miscount."""
+    if is_miscounting(fault):
+        factor = count_factor(fault)
+        speeds.left, speeds.right = factor * speeds.left, factor * speeds.right
+        speeds.variance, speeds.angle_variance = (
+            factor**2 * speeds.variance,
+            factor**2 * speeds.angle_variance,
+        )
+
+
+@compiled
+def _set_interval_speeds(
     sample: SprocketSample, closing: MeasurementRecord, c: Config, speeds: SpeedsRecord
 ) -> bool:
     """Set ``speeds`` to the mean speeds between ``sample`` and ``closing``; return whether they are known."""
@@ -126,7 +149,7 @@ def store_sample(state: State, closing: MeasurementRecord, c: Config) -> None:
     """Store ``closing`` as the latest sample of ``state``."""
     sample = state.sample
     left, right, dt = _encoder_speeds(sample, closing, c)
-    sample.known = set_interval_speeds(sample, closing, c, sample.speeds)
+    sample.known = _set_interval_speeds(sample, closing, c, sample.speeds)
     if sample.known and dt > 0.0:
         store_counts(filter_counts(sample.counts, left, right, dt, c), sample.counts)
     else:

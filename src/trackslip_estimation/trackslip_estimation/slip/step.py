@@ -57,8 +57,8 @@ from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, TRACKS
 from trackslip_estimation.slip.source_faults import IS_FAILED, IS_HEALTHY, propagate_faults
 from trackslip_estimation.slip.source_offsets import propagate_offsets
 from trackslip_estimation.slip.sprockets import (
+    close_interval,
     has_position_jump,
-    set_interval_speeds,
     set_speeds,
     set_zero_speeds,
     store_sample,
@@ -160,7 +160,7 @@ def propagate_with_sprockets(state: State, closing: MeasurementRecord, stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
         closes_interval = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
         if closes_interval and state.fault[TRACKS] != IS_FAILED:
-            set_interval_speeds(state.sample, closing, c, state.speeds)
+            close_interval(state, closing, c)
     state.stamp_ns = stamp_ns
     propagate_silent_tilt(state, stamp_ns, c)
 

@@ -5,7 +5,7 @@
     d    predicted displacement between two fixes along the heading                 m
     ν    innovation of the later fix along it, z = d + ν: measured displacement     m
     S    variance of the innovation, by axis                                        m²
-    q    Σ d z/S, 0 to 300                                                          1
+    q    Σ d z/S, 0 to 100                                                          1
     θ    angle by which another explanation turns the heading                       rad
 
 A heading that differs by ±θ predicts a displacement turned by ±θ. So ln of the odds against it grows at each
@@ -15,9 +15,8 @@ it with the reversed heading. Neither do tracks that do not grip: with a slip of
 machine in any direction.
 
 A gyro measures all turns since, on the cab together with an encoder of the swing: what confirmed the heading
-before still holds. Without their readings q is zero, and after ``look_back_time`` without a fix that agrees:
-a gyro may have failed unseen. It decays while the sprockets are assumed to fail: a heading that no track
-confirms for a minute may be wrong after all.
+before still holds. Without their readings q is zero, and after ``look_back_time`` without a fix that agrees.
+It decays in turns, in which a gyro may fail unseen: fixes hardly show a turn on the spot.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.bank.event_effects import sector_angle
 from trackslip_estimation.slip.bank.plausibility import is_gripping
 from trackslip_estimation.slip.bank.pool import update_of
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import Branch, State
 
-_MOST = 300.0  # q
-_MEMORY = 20.0  # s, of q while sprockets or an odometry have failed
+_MOST = 100.0  # q
+_MEMORY = 2.0  # rad, of turns
 
 
 @compiled
@@ -55,13 +55,13 @@ def update_course(window: Window, s: int, k: int, c: Config) -> None:
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     east = state.displacement[X] - branch.course_from[X]
     north = state.displacement[Y] - branch.course_from[Y]
-    branch.course_from[:] = state.displacement
+    turn = wrap(state.mean[YAW] - branch.course_from[YAW])
+    branch.course_from[:2], branch.course_from[YAW] = state.displacement, state.mean[YAW]
+    branch.course *= math.exp(-abs(turn) / _MEMORY)
     measurement = window.measurements[k]
     is_measured = is_displacement_measured(state.fault[measurement.source])
     if is_measured and update.nis <= contradiction_limit(update.dof, c):
         branch.course = _remaining_course(branch, measurement.stamp_ns, c)
-        if has_failed_unit(state):
-            branch.course *= math.exp((branch.course_ns - measurement.stamp_ns) * 1e-9 / _MEMORY)
         branch.course_ns = measurement.stamp_ns
     if state.is_sector or is_heading_unknown(state) or not _is_heading_carried(state, c):
         branch.course = 0.0

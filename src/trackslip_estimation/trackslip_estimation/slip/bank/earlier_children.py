@@ -24,7 +24,6 @@ from trackslip_estimation.slip.events import (
     FAILED,
     HEADING_WANDERS,
     HEADINGS,
-    LOST,
     NOISE,
     OFFSET,
     RECOVERED,
@@ -54,12 +53,14 @@ from trackslip_estimation.slip.records import (
     VELOCITY,
 )
 from trackslip_estimation.slip.source_faults import (
+    IS_COUNTING_BACKWARDS,
+    IS_COUNTING_HALF,
     IS_HEALTHY,
-    IS_MISCOUNTING,
     IS_REPEATING,
     IS_STAYING,
     can_be_repetition,
     has_fault,
+    is_miscounting,
     is_trusted,
 )
 from trackslip_estimation.slip.source_offsets import (
@@ -67,6 +68,7 @@ from trackslip_estimation.slip.source_offsets import (
     has_position_dependent_errors,
     pose_source_number,
 )
+from trackslip_estimation.slip.sprockets import shows_standstill
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -75,6 +77,8 @@ if TYPE_CHECKING:
 
 _LOG_SECTORS = math.log(HEADINGS)
 _IMPOSSIBLE = 30.0  # ln of the odds against another heading, beyond which no other one is tried
+_MISCOUNTS = IS_COUNTING_HALF, IS_COUNTING_BACKWARDS
+_LOG_MISCOUNTS = math.log(len(_MISCOUNTS))
 _FARTHER_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
 _FARTHER_STDDEVS = 3.0  # standard deviations of that displacement, beyond which it is longer
 
@@ -128,9 +132,8 @@ def make_sector_children(
         if not is_heading_unknown(before):
             prior += log_time_since_snapshot(window, p, k, c) + c.log_rates[TURNED, source]
             prior -= correlated_penalty(window, p, k, c)
-        cost = window.branches[p, k - 1].slip_cost if before.mean[COMMON_SLIP] > 1.0 else 0.0
-        for part in range(HEADINGS):  # the reversed machine has not had the slip that cost the parent
-            log_prior = max(prior, min(prior + cost, 0.0)) if part == REVERSED else prior
+        for part in range(HEADINGS):
+            log_prior = _log_prior_without_slip(window, p, k, prior) if part == REVERSED else prior
             against = log_odds_against_turn(window, p, k, part, c)
             if against < _IMPOSSIBLE:
                 add_child(window, p, k, TURNED, source, part, True, log_prior - against, c)
@@ -203,24 +206,46 @@ def has_recent_fix(before: State, m: MeasurementRecord, c: Config) -> bool:
 def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Add children in which a unit has failed: sprockets, gyros, an odometry, swing brake or encoder.
 
-    A slip nearer to −1 than to its range indicates lost counts; their event replaces the slip event in the
-    prior of the branch. Sensors on the upper structure show a swing that a frozen encoder does not.
+    Sensors on the upper structure show a swing that a frozen encoder does not.
     """
     before = window.states[p, k - 1]
     for unit in range(MOST_SOURCES):
         make_failed_unit_child(window, p, k, unit, penalty, c)
     if not _can_show_failure(window, p, k, GYROS, c):
         return
-    if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
-        log_odds = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
-        add_child(window, p, k, FAILED, TRACKS, LOST, True, log_odds, c)
-    elif before.fault[TRACKS] == IS_HEALTHY:
-        add_child_since_snapshot(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
     for other in range(MOST_SOURCES):
         if c.measures_swing[other] == 1 and not has_fault(before, other):
             add_child_since_snapshot(window, p, k, REPEATS, other, 0, -penalty, c)
+    if before.fault[TRACKS] == IS_HEALTHY and not shows_standstill(before.sample, c):
+        _make_miscounting_children(window, p, k, penalty, c)
+
+
+@compiled
+def _make_miscounting_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+    """Add children in which the sprockets measure the motion to a factor.
+
+    A slip nearer to −1 than to its range indicates lost counts; their event replaces the slip event in the
+    prior of the branch.
+    """
+    slip = window.states[p, k - 1].mean[COMMON_SLIP]
+    rate = c.log_rates[FAILED, TRACKS] - _LOG_MISCOUNTS
+    prior = log_time_since_snapshot(window, p, k, c) + rate - penalty
+    for part in _MISCOUNTS:
+        log_prior = prior
+        if part == IS_COUNTING_BACKWARDS:
+            log_prior = _log_prior_without_slip(window, p, k, prior)
+        elif part == IS_COUNTING_HALF and slip < (c.bank.least_slip - 1.0) / 2.0:
+            log_prior = rate - c.log_rates[SLIPPED, window.measurements[k].source]
+        add_child(window, p, k, FAILED, TRACKS, part, True, log_prior, c)
+
+
+@compiled
+def _log_prior_without_slip(window: Window, p: int, k: int, log_prior: float) -> float:
+    """Prior of a child of p that drives in the other direction: without the slip above 1 that cost p."""
+    cost = window.branches[p, k - 1].slip_cost if window.states[p, k - 1].mean[COMMON_SLIP] > 1.0 else 0.0
+    return float(max(log_prior, min(log_prior + cost, 0.0)))
 
 
 @compiled
@@ -231,7 +256,7 @@ def make_failed_unit_child(window: Window, p: int, k: int, unit: int, penalty: f
         return
     if fault == IS_HEALTHY:
         add_child_since_snapshot(window, p, k, FAILED, unit, 0, -penalty, c)
-    elif fault == IS_MISCOUNTING:  # by another fault
+    elif is_miscounting(fault):  # by another fault
         add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
 
 

@@ -24,7 +24,6 @@ from trackslip_estimation.slip.events import (
     HEADINGS,
     HIDDEN,
     LATE,
-    LOST,
     MEASURED,
     MOVED,
     NOISE,
@@ -67,14 +66,15 @@ from trackslip_estimation.slip.source_faults import (
     IS_HEADING_WANDERING,
     IS_HEALTHY,
     IS_IGNORED,
-    IS_MISCOUNTING,
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
     IS_STAYING,
     IS_WANDERING,
+    is_miscounting,
 )
 from trackslip_estimation.slip.source_offsets import (
+    has_mostly_correlated_errors,
     latest_pose_source,
     pose_source_number,
     prior_offset_variance,
@@ -137,7 +137,7 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
         P[X, X] += e.value**2
         P[Y, Y] += e.value**2
     elif e.event == FAILED:
-        return _inflate_failed_state(state, e, previous_fault, c)
+        return _inflate_failed_state(state, e, c)
     if e.event == BIASED and e.value > 0.0:
         return _move_offset_to_position(state, source, c)
     return 0
@@ -166,8 +166,8 @@ def _set_source_fault(state: State, e: EventRecord) -> None:
         state.heading_fault_ns[source], state.heading_fault[source] = state.stamp_ns, fault
     elif fault != _NOT_ABOUT_SOURCE:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, fault
-        if e.event == FAILED and e.part == LOST:
-            state.fault[source] = IS_MISCOUNTING
+        if e.event == FAILED and is_miscounting(e.part):
+            state.fault[source] = e.part
 
 
 @compiled
@@ -205,8 +205,6 @@ def _end_fault(state: State, e: EventRecord, previous_fault: int, c: Config) -> 
             to_measured_position(x, P, source, 1.0, c)
         reset_states = _end_offset(state, source, c)
         return reset_states | _POSITION if e.event == BECAME_JUMP else reset_states
-    if source == TRACKS and previous_fault == IS_MISCOUNTING:
-        return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
     if source == TRACKS and has_velocity_errors(c):
         _open_slip(state, 0.0, c)
     return 0
@@ -286,7 +284,7 @@ def _inflate_gyro_bias(P: FloatArray, unseen: float, c: Config) -> None:
 
 
 @compiled
-def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: Config) -> int:
+def _inflate_failed_state(state: State, e: EventRecord, c: Config) -> int:
     """Inflate or reset the state that failed sprockets, gyros, an odometry or the swing brake affect."""
     opened = c.events.slip_stddev**2
     if e.source == GYROS:
@@ -295,10 +293,12 @@ def _inflate_failed_state(state: State, e: EventRecord, previous_fault: int, c: 
         state.covariance[SWING_RATE, SWING_RATE] += c.swing.fastest**2
     elif e.source < TRACKS:
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
-    elif e.source == TRACKS and e.part == LOST:
-        return _reset_state(state, COMMON_SLIP, -1.0, opened, c)
-    elif e.source == TRACKS and previous_fault == IS_MISCOUNTING:
-        return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
+    elif e.source == TRACKS and is_miscounting(e.part):
+        source = latest_pose_source(state, c)
+        moved = 0
+        if has_mostly_correlated_errors(state, source, c):
+            moved = _move_offset_to_position(state, source, c)
+        return moved | _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
     elif e.source == TRACKS and e.part == HIDDEN:
         return _reset_sector(state, c) | _move_offset_to_position(state, latest_pose_source(state, c), c)
     elif e.source == TRACKS:

@@ -20,12 +20,13 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
+from trackslip_estimation.kalman.update import predicted_covariance
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist, twist_jacobian
 from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.slope import is_on_slope
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, YAW_RATE_ERROR
 from trackslip_estimation.slip.records import TRACKS
-from trackslip_estimation.slip.source_faults import IS_FAILED, IS_MISCOUNTING, has_staying_fixes
+from trackslip_estimation.slip.source_faults import IS_FAILED, has_staying_fixes
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -62,34 +63,63 @@ def implausibility(state: State, c: Config) -> float:
         return 0.0
     if state.fault[TRACKS] == IS_FAILED:
         return min(_chance_agreement(state, c), _LARGEST_REDUCTION)
-    return slip_range_penalty(state, c) + min(_turn_penalty(state, c), _LARGEST_REDUCTION)
+    in_turn = _turn_penalty(state, c) + _speed_penalty(state, c)
+    return slip_range_penalty(state, c) + min(in_turn, _LARGEST_REDUCTION)
 
 
 @compiled
 def slip_range_penalty(state: State, c: Config) -> float:
     """Reduction of ln of a branch's weight for an i₀ outside its physical range."""
-    if not has_velocity_errors(c) or state.fault[TRACKS] in (IS_FAILED, IS_MISCOUNTING):
+    if not has_velocity_errors(c) or state.fault[TRACKS] == IS_FAILED:
         return 0.0
-    low, high = c.bank.least_slip, c.bank.most_slip
-    if state.attitude.level.known == 1 and not is_on_slope(state):
-        high = _MOST_LEVEL_SLIP
-    excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
+    excess = max(
+        state.mean[COMMON_SLIP] - _most_slip(state, c), c.bank.least_slip - state.mean[COMMON_SLIP], 0.0
+    )
     variance = c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
     return float(excess * excess / (2.0 * variance))
 
 
 @compiled
+def _most_slip(state: State, c: Config) -> float:
+    """Largest i₀: that of a stuck machine on level ground."""
+    is_level = state.attitude.level.known == 1 and not is_on_slope(state)
+    return float(_MOST_LEVEL_SLIP if is_level else c.bank.most_slip)
+
+
+@compiled
+def _speed_penalty(state: State, c: Config) -> float:
+    """The reduction for a machine in a turn that is faster than both tracks, or moves against them."""
+    left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
+    fastest = max(abs(left), abs(right))
+    if abs(right - left) < _LEAST_RATE * c.tread or state.coasting:
+        return 0.0
+    v, variance = _twist_component(state, 0, c)
+    beyond = max(v - max(left, right, 0.0), min(left, right, 0.0) - v, 0.0) / fastest
+    is_against = v * (left + right) < 0.0
+    excess = max(beyond - (_most_slip(state, c) - 1.0 if is_against else -c.bank.least_slip), 0.0)
+    return float(excess * excess / (2.0 * (c.bank.slip_excess**2 + variance / fastest**2)))
+
+
+@compiled
 def _turn_penalty(state: State, c: Config) -> float:
     """The reduction for a stuck machine that turns, or one that does not although only its fixes stay."""
-    left, right, P, i_0 = state.speeds.left, state.speeds.right, state.covariance, state.mean[COMMON_SLIP]
+    left, right, i_0 = state.speeds.left, state.speeds.right, state.mean[COMMON_SLIP]
     D = c.rolling_radius * (right - left) / c.tread
     spins, stays = is_stuck(state, c), has_staying_fixes(state)
     if abs(D) < _LEAST_RATE or state.coasting or not (spins or stays):
         return 0.0
-    e = twist(state.mean[: c.size], left, right, c)[2] / D
-    excess = max(e - (1.0 - i_0) if spins else _LEAST_EFFICIENCY * (1.0 - i_0) - e, 0.0)
-    variance = c.bank.slip_excess**2 + P[COMMON_SLIP, COMMON_SLIP] + P[YAW_RATE_ERROR, YAW_RATE_ERROR] / D**2
+    rate, variance = _twist_component(state, 2, c)
+    excess = max(rate / D - (1.0 - i_0) if spins else _LEAST_EFFICIENCY * (1.0 - i_0) - rate / D, 0.0)
+    variance = c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP] + variance / D**2
     return float(excess * excess / (2.0 * variance))
+
+
+@compiled
+def _twist_component(state: State, k: int, c: Config) -> tuple[float, float]:
+    """v_x, v_y or ω of a branch, m/s or rad/s, and its variance."""
+    x, left, right = state.mean[: c.size], state.speeds.left, state.speeds.right
+    J = twist_jacobian(x, left, right, c)[k : k + 1]
+    return twist(x, left, right, c)[k], predicted_covariance(state.covariance[:], J)[0, 0]
 
 
 @compiled
