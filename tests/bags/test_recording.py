@@ -115,16 +115,69 @@ def test_each_loss_is_reported_once() -> None:
     assert losses.total == {"/a": 5, "/b": 2}
 
 
-def test_log_times_increase_when_messages_wait_for_a_retransmission() -> None:
+class SetClock:
+    """A host's clock that a test sets, beside a steady one that starts at 500 s."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.steady_ns, self.offset_ns = 500 * S, -490 * S
+        monkeypatch.setattr("time.monotonic_ns", lambda: self.steady_ns)
+        monkeypatch.setattr("time.time_ns", lambda: self.steady_ns + self.offset_ns)
+
+    def wait_until(self, host_ns: int) -> int:
+        self.steady_ns = host_ns - self.offset_ns
+        return host_ns
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SetClock:
+    return SetClock(monkeypatch)
+
+
+def test_log_times_increase_when_messages_wait_for_a_retransmission(clock: SetClock) -> None:
     """Message 1 is lost and sent again; 2 and 3 are received before it and delivered after it."""
     order = LogTimes()
+    clock.wait_until(14 * S)
     received = {0: 10 * S, 1: 13 * S, 2: 11 * S, 3: 12 * S, 4: 14 * S}
-    logged = [order.log_time_ns("odometry", received_ns) for received_ns in received.values()]
+    logged = [order.log_time_ns("odometry", received_ns)[0] for received_ns in received.values()]
     assert logged == [10 * S, 13 * S, 13 * S, 13 * S, 14 * S]
-    assert order.log_time_ns("sprockets", 11 * S) == 11 * S
+    assert order.log_time_ns("sprockets", 11 * S) == (11 * S, False)
 
 
-def test_log_times_follow_a_clock_that_is_set_back() -> None:
-    order = LogTimes()
-    received = (100 * S, 40 * S, 41 * S, 140 * S)
-    assert tuple(order.log_time_ns("odometry", received_ns) for received_ns in received) == received
+@pytest.mark.parametrize("back_s", [2, 3600])
+def test_log_times_go_on_evenly_when_the_clock_is_set_back(clock: SetClock, back_s: int) -> None:
+    clock.offset_ns += 10_000 * S
+    order, start_ns = LogTimes(), clock.steady_ns + clock.offset_ns
+    logged = []
+    for k in range(6):
+        if k == 3:
+            clock.offset_ns -= back_s * S
+        clock.steady_ns += S
+        for topic in ("odometry", "sprockets"):
+            logged.append(order.log_time_ns(topic, clock.steady_ns + clock.offset_ns)[0])
+    assert logged == [start_ns + k * S for k in range(1, 7) for _ in range(2)]
+    assert order.lead_ns == back_s * S
+
+
+def test_log_times_follow_a_clock_that_is_set_from_1970_to_the_present(clock: SetClock) -> None:
+    order, present_ns = LogTimes(), 1_780_000_000 * S
+    before_ns = clock.wait_until(20 * S)
+    assert order.log_time_ns("odometry", before_ns) == (before_ns, False)
+    clock.offset_ns += present_ns
+    after_ns = clock.wait_until(21 * S + present_ns)
+    assert order.log_time_ns("odometry", after_ns) == (after_ns, True)
+    waited = order.log_time_ns("sprockets", before_ns + 1)[0]  # received before, delivered after
+    assert abs(waited - after_ns) < 5 * S
+
+
+def test_a_clock_that_is_set_while_recording_is_named_with_a_remedy(
+    begin: Begin, clock: SetClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    recording = begin()
+    write(recording, clock.wait_until(20 * S))
+    clock.offset_ns -= 5 * S
+    write(recording, clock.wait_until(16 * S))
+    assert "set: log times stay 5.0 s ahead of it until the recorder is started again" in caplog.text
+    clock.offset_ns += 100 * S
+    write(recording, clock.wait_until(117 * S))
+    assert "set: log times follow it; set it before the drive" in caplog.text
+    recording.close()

@@ -26,13 +26,14 @@ from trackslip_bags.progress import RecordProgress
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_drivers.transports.host_clock import HostClock
 
-_MAX_REPAIR_NS = 5_000_000_000  # heartbeats repair losses every 3 s; more is a clock change
+_MAX_REPAIR_NS = 5_000_000_000  # heartbeats repair losses every 3 s
 _TRIM_PERIOD = 5.0  # s
 
 
 class LogTimes:
-    """Log times that do not decrease within a topic when lost messages are resent.
+    """Log times that increase in the order of delivery, by the steady clock; see ``HostTime``.
 
     A reliable publisher resends lost messages. Messages sent later are held back until then, so messages are
     delivered in order, but their reception times are not in order.
@@ -40,14 +41,20 @@ class LogTimes:
 
     def __init__(self) -> None:
         self._newest_ns: dict[str, int] = {}
+        self._clock = HostClock()
 
-    def log_time_ns(self, topic: str, received_ns: int) -> int:
-        """Log time of a message delivered now and received at ``received_ns``."""
-        newest_ns = self._newest_ns.get(topic, received_ns)
-        if 0 < newest_ns - received_ns < _MAX_REPAIR_NS:
-            return newest_ns
-        self._newest_ns[topic] = received_ns
-        return received_ns
+    @property
+    def lead_ns(self) -> int:
+        """Lead of log times over the host's clock since that was set back, ns."""
+        return self._clock.lead_ns
+
+    def log_time_ns(self, topic: str, received_ns: int) -> tuple[int, bool]:
+        """Log time of a message delivered now and received at ``received_ns``; whether the clock was set."""
+        earliest_ns = time.monotonic_ns() - _MAX_REPAIR_NS
+        steady_ns, was_set = self._clock.arrival(received_ns, earliest_ns)
+        newest_ns = max(self._clock.stamp(steady_ns), self._newest_ns.get(topic, 0))
+        self._newest_ns[topic] = newest_ns
+        return newest_ns, was_set
 
 
 class Losses:
@@ -128,9 +135,21 @@ class Recording:
 
     def write(self, topic: str, type_name: str, data: bytes, received_ns: int, sent_ns: int | None) -> None:
         """Write one serialized message; it counts as lost if the disk fails."""
-        log_time_ns = self._log_times.log_time_ns(topic, received_ns)
+        log_time_ns, was_set = self._log_times.log_time_ns(topic, received_ns)
+        if was_set:
+            self._log.warning(f"the host's clock was set: {self._clock_effect()}")
         if not self._try_on_disk(partial(self.bag.write, topic, type_name, data, log_time_ns, sent_ns)):
             self.losses.add(topic, 1)
+
+    @property
+    def lead_s(self) -> float:
+        """Lead of log times over the host's clock since that was set back, s."""
+        return self._log_times.lead_ns * 1e-9
+
+    def _clock_effect(self) -> str:
+        if self.lead_s:
+            return f"log times stay {self.lead_s:.1f} s ahead of it until the recorder is started again"
+        return "log times follow it; set it before the drive, or report each part with --start and --stop"
 
     def save(self) -> None:
         """Flush to the disk, keep to the budget, show progress and losses."""

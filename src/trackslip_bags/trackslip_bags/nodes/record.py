@@ -87,9 +87,10 @@ class RecordNode(TrackslipNode[RecordParameters]):
         counts: dict[str, Any] = dict(recording.bag.counts)
         lost = {f"{topic} lost": n for topic, n in recording.losses.total.items()}
         space = {} if minutes is None else {"disk full in (min)": round(minutes)}
+        ahead = {"log times ahead of the host's clock (s)": f"{recording.lead_s:.3f}"}
         matched = self._raw_subscriptions.publishers()
         return [
-            Health(level, f"{word}: {recording.bag.path}", counts | lost | not_recorded | space),
+            Health(level, f"{word}: {recording.bag.path}", counts | lost | not_recorded | space | ahead),
             Health(OK, f"{sum(matched.values())} found", dict(matched), part="publishers"),
         ]
 
