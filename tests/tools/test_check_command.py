@@ -3,6 +3,7 @@
 """``trackslip check`` and the commands that run it: exit codes, JSON, and the set-up verdict in reports."""
 
 import json
+import re
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
@@ -191,6 +192,29 @@ def test_a_clock_that_is_set_back_while_it_records_is_named(healthy: Path, tmp_p
     result = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)
     (cause,) = (cause for cause in result["causes"] if cause["cause"] == "clock_set_back")
     assert f"--stop {(middle_ns - bag.start_ns) * 1e-9 - 3.0:.0f}" in cause["remedy"]
+
+
+@pytest.mark.parametrize("step_s", [3 * 3600, 3 * 365 * 86_400, 56 * 365 * 86_400])
+def test_a_drive_on_both_sides_of_a_clock_that_is_set_forward_is_checked(
+    healthy: Path, tmp_path: Path, step_s: int
+) -> None:
+    """A computer without a battery begins in 1970 and is set while it records, before the first fix."""
+    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+        set_ns = bag.start_ns + (bag.end_ns - bag.start_ns) * 2 // 3
+        for m in bag.messages():
+            is_late = m.log_time_ns > set_ns
+            content = bag.deserialize(m.raw, m.type_name)
+            if hasattr(content, "header"):
+                content.header.stamp.sec += step_s * is_late
+            if is_late or m.topic not in ("/gnss_pose", "/box_pose", "/heading"):
+                log_time_ns = m.log_time_ns + step_s * 10**9 * is_late
+                writer.write(m.topic, m.type_name, serialize(content), log_time_ns)
+        seconds = (set_ns - bag.start_ns) * 1e-9
+    result = json_of(tmp_path, "check", tmp_path / "bag")
+    assert result["plausible"]
+    (note,) = result["notes"]
+    stop_s, start_s = (float(re.search(rf"--{n} ([\d.]+)", note).group(1)) for n in ("stop", "start"))  # type: ignore[union-attr]
+    assert (stop_s, start_s) == pytest.approx((seconds, seconds + step_s), abs=0.2)
 
 
 def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:

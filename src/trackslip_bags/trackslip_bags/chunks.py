@@ -40,7 +40,7 @@ _STRETCH_MESSAGES = 5000  # upper limit of a stretch read message by message
 
 
 class Span(NamedTuple):
-    """Log times that the clock of the recorder passed twice, as it was set back."""
+    """A span of log times."""
 
     begin_ns: int
     end_ns: int
@@ -55,7 +55,7 @@ class Stretch(NamedTuple):
     log_times_ns: IntArray  # (n,)
     starts: IntArray  # (n,) of the contents, in the buffer
     lengths: IntArray  # (n,) of the contents, bytes
-    passed_twice: Span | None = None  # the longest; None: no log times, or the order written is unknown
+    passed_twice: Span | None = None  # the longest, as the clock was set back; None: the order is unknown
 
 
 def read_stretches(

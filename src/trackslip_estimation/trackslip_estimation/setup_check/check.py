@@ -296,7 +296,7 @@ def summary_lines(log: Log, drive: Drive, unit: float) -> list[str]:
 
     ``unit``: factor of the speeds, undone in ``drive``; the lines state the recorded values.
     """
-    left, right = unit * drive.grid.tracks.T
+    left, right = unit * np.where(drive.grid.is_driven[:, np.newaxis], drive.grid.tracks, 0.0).T
     distance = float(np.nansum(np.abs(window_sums(drive.grid, (left + right) / 2.0))))
     lines = [f"distance: {distance:.1f} m by the tracks"]
     if drive.fixes is not None:

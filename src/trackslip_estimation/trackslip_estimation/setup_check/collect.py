@@ -4,7 +4,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ _UNMEASURED_HEADING_VARIANCE = 0.3**2  # rad², variance from which a heading co
 _UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
 _LARGEST_VALUE = 1e12  # magnitude of any valid number
 _OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from the median stamp of a source
+_PAUSE_NS = 3600 * 1_000_000_000  # without any measurement, from which time is taken out
+_LEAST_SAMPLES = 10  # of the sprockets before and after a pause; fewer have stray stamps
 _KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
 _MOST_READINGS = 2_000_000  # readings of a source: hours; later ones are not compared
 
@@ -65,17 +67,19 @@ class Collector:
             self.hydraulics.append(rows[["stamp_ns", "left_pressure", "right_pressure"]])
 
     def log(self) -> Log | None:
-        """The log of all columns, on one clock; None without sprockets."""
+        """The log of all columns, on one clock, without long pauses; None without sprockets."""
         columns: Columns = {}
         for key, parts in self.parts.items():
             stamps, values = zip(*parts, strict=True)
             columns[key] = np.concatenate(stamps), np.concatenate(values)
+        pauses = find_pauses(columns)
+        columns = {key: (pauses.close(stamps), values) for key, (stamps, values) in columns.items()}
         log = log_of_columns(columns, self.parameters)
         delays = {name: np.concatenate(parts) for name, parts in self.arrival_delays.items()}
         steady = {name: float(np.median(d)) * 1e-9 for name, d in delays.items() if _is_steady(d)}
-        return None if log is None else replace(log, arrival_delays=steady, pressures=self._pressures())
+        return None if log is None else replace(log, arrival_delays=steady, pressures=self._pressures(pauses))
 
-    def _pressures(self) -> Pressures | None:
+    def _pressures(self, pauses: "Pauses") -> Pressures | None:
         """The pressures on the clock of the log; None without hydraulics."""
         if not self.hydraulics:
             return None
@@ -83,9 +87,36 @@ class Collector:
         start = min(int(s.min()) for (kind, _), ps in self.parts.items() if kind == SPROCKETS for s, _ in ps)
         values = np.column_stack((rows["left_pressure"], rows["right_pressure"]))
         is_valid = np.isfinite(values).all(axis=1)
-        t, first = np.unique((rows["stamp_ns"][is_valid] - start) * 1e-9, return_index=True)
+        t, first = np.unique((pauses.close(rows["stamp_ns"][is_valid]) - start) * 1e-9, return_index=True)
         relief = p.vehicle.whole().relief_pressure
         return Pressures(HYDRAULICS, t, values[is_valid][first], self.watch, relief, p.motion)
+
+
+class Pauses(NamedTuple):
+    """Long times without any measurement: the recorder paused, or the clock of the machine was set."""
+
+    ends_ns: NDArray[np.int64]  # (n,) ascending
+    taken_out_ns: NDArray[np.int64]  # (n + 1,) before the first end, and from each on
+
+    def close(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Stamps (m,) with one to three hours left of each pause."""
+        closed: NDArray[np.int64] = (
+            stamps_ns - self.taken_out_ns[np.searchsorted(self.ends_ns, stamps_ns, side="right")]
+        )
+        return closed
+
+
+def find_pauses(columns: Columns) -> Pauses:
+    """The long pauses of all columns that have sprockets before and after."""
+    of_sprockets = [stamps for (kind, _), (stamps, _) in columns.items() if kind == SPROCKETS]
+    sprockets = np.unique(np.concatenate([np.empty(0, np.int64), *of_sprockets]))
+    by_column = [np.unique(stamps // _PAUSE_NS) for stamps, _ in columns.values()]
+    hours = np.unique(np.concatenate([np.empty(0, np.int64), *by_column]))
+    empty, ends = np.diff(hours) - 2, hours[1:] * _PAUSE_NS
+    before = np.searchsorted(sprockets, ends)
+    is_long = (empty > 0) & (np.minimum(before, len(sprockets) - before) >= _LEAST_SAMPLES)
+    taken_out = np.cumsum(empty[is_long]) * _PAUSE_NS
+    return Pauses(ends[is_long], np.concatenate((np.zeros(1, np.int64), taken_out)))
 
 
 def _is_steady(delays_ns: NDArray[np.int64]) -> bool:

@@ -104,6 +104,7 @@ class Result:
     undetermined: tuple[OpenQuestion, ...] = ()
     facts: tuple[str, ...] = ()  # distance and turn by each odometer, rates: one line each
     measured: tuple[MeasuredValue, ...] = ()
+    notes: tuple[str, ...] = ()  # on the recording, for every command: one line each
 
     @property
     def is_plausible(self) -> bool:
@@ -131,6 +132,7 @@ class Result:
             "plausible": self.is_plausible,
             "causes": [cause.as_dict() for cause in self.causes],
             "undetermined": [question.as_dict() for question in self.undetermined],
+            "notes": list(self.notes),
         }
 
 

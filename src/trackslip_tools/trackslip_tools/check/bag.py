@@ -21,6 +21,7 @@ from trackslip_tools.replay.inputs import SPROCKETS, Batch, InputStream
 from trackslip_tools.terminal_text import table, wrap_line
 
 _SET_BACK_NS = 1_000_000_000  # by less, messages of several threads are out of order
+_LONG_PAUSE_NS = 3_600_000_000_000
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
 
@@ -56,7 +57,8 @@ def check_collected(collector: Collector, stream: InputStream) -> Result:
     """Result of the check over the collected measurements, and of sources whose messages become none."""
     log = collector.log()
     result = Result(undetermined=(_no_sprockets(stream),)) if log is None else check(log)
-    return replace(result, causes=(*result.causes, *_invalid_sources(stream), *_recorder_set_back(stream)))
+    causes = (*result.causes, *_invalid_sources(stream), *_recorder_set_back(stream))
+    return replace(result, causes=causes, notes=tuple(_long_pause(stream)))
 
 
 def _no_sprockets(stream: InputStream) -> OpenQuestion:
@@ -101,6 +103,24 @@ def _recorder_set_back(stream: InputStream) -> list[Cause]:
     return [Cause("clock_set_back", "recorder", evidence, READ_OFF, remedy)]
 
 
+def _long_pause(stream: InputStream) -> list[str]:
+    """A line if no sprocket sample was logged for hours, with the commands for the drive on each side."""
+    pause = stream.longest_pause
+    if pause is None or pause.end_ns - pause.begin_ns < _LONG_PAUSE_NS:
+        return []
+    begin, end = ((t - stream.start_ns) * 1e-9 for t in pause)
+    why = "the recorder paused, or the clock was set"
+    how = f"--stop {begin + 0.1:.1f} and --start {end - 0.1:.1f} of replay and report show each part"
+    return [f"no sprockets for {_duration_text(end - begin)} from {begin:.1f} s on: {why}; {how}"]
+
+
+def _duration_text(duration_s: float) -> str:
+    days = duration_s / 86_400.0
+    if days < 2.0:
+        return f"{24.0 * days:.1f} h"
+    return f"{days:.0f} days" if days < 730.0 else f"{days / 365.25:.1f} years"
+
+
 def remedy_settings(result: Result) -> list[str]:
     """Settings of the remedies, for ``--set``; empty if a cause has another remedy."""
     settings_by_cause = [_SETTING.findall(cause.remedy) for cause in result.causes]
@@ -108,11 +128,10 @@ def remedy_settings(result: Result) -> list[str]:
 
 
 def setup_summary(result: Result) -> str:
-    """Summary for other commands: causes and remedies, else open questions or "setup plausible"."""
+    """Summary for other commands: notes, causes and remedies, else open questions or "setup plausible"."""
+    lines = [*result.notes]
     if not result.causes:
-        open_questions = [wrap_line(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
-        return "\n".join(open_questions) or "setup plausible"
-    lines = []
+        lines += [f"setup: {one.what}: {one.needed}" for one in result.open_questions] or ["setup plausible"]
     for cause in result.causes:
         lines += [f"setup: {cause.cause} ({cause.source}): {cause.evidence}", f"  {cause.remedy}"]
     return "\n".join(map(wrap_line, lines))
@@ -120,7 +139,8 @@ def setup_summary(result: Result) -> str:
 
 def setup_report(result: Result) -> str:
     """Full text for ``trackslip check``: facts, causes with odds and remedies, and undecided questions."""
-    parts = ["\n".join(map(wrap_line, result.facts))] if result.facts else []
+    facts = [*result.facts, *(result.notes if result.causes else ())]
+    parts = ["\n".join(map(wrap_line, facts))] if facts else []
     if result.causes:
         rows = [(c.cause, c.source, odds_text(c.odds)) for c in result.causes]
         parts.append(table(("cause", "source", "odds"), rows, (False, False, True)))

@@ -116,6 +116,8 @@ class InputStream:
         self.withholding = Withholding(filters, bag.start_ns)
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
         self.passed_twice: Span | None = None  # the longest so far
+        self.longest_pause: Span | None = None  # of the sprockets, by log time
+        self._sprockets_until_ns: int | None = None
 
     @property
     def topics(self) -> frozenset[str]:
@@ -203,6 +205,8 @@ class InputStream:
                 is_usable = self._has_required_frame(name, table)
                 is_usable &= self._has_measurement(name, reader, read, is_usable)
                 self._extend_duration(rows["stamp_ns"][is_usable], name)
+                if name == SPROCKETS:
+                    self._extend_longest_pause(table.log_times_ns)
                 parts.append(rows[is_usable])
                 orders.append(table.order[is_usable])
         rows = np.concatenate(parts)[np.argsort(np.concatenate(orders), kind="stable")]
@@ -239,6 +243,15 @@ class InputStream:
             span = Span(min(longest.begin_ns, span.begin_ns), max(longest.end_ns, span.end_ns))
         if longest is None or span.end_ns - span.begin_ns > longest.end_ns - longest.begin_ns:
             self.passed_twice = span
+
+    def _extend_longest_pause(self, log_times_ns: IntArray) -> None:
+        if not len(log_times_ns):
+            return
+        before_ns, self._sprockets_until_ns = self._sprockets_until_ns, int(log_times_ns[-1])
+        times = np.insert(log_times_ns, 0, log_times_ns[0] if before_ns is None else before_ns)
+        k, longest = int(np.diff(times).argmax()), self.longest_pause
+        if longest is None or times[k + 1] - times[k] > longest.end_ns - longest.begin_ns:
+            self.longest_pause = Span(int(times[k]), int(times[k + 1]))
 
     def _extend_duration(self, stamps_ns: IntArray, name: str) -> None:
         if len(stamps_ns) and name != SET_POSE:  # a manual pose may lack a stamp
