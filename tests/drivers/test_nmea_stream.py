@@ -255,6 +255,14 @@ def test_repeated_readings_of_one_time_are_no_measurements(rate, encoders):
     assert len(received(parser, EPOCHS[1:], encoders, late=lambda _: 10 * S)) >= len(EPOCHS) - 2
 
 
+def test_readings_of_a_receiver_that_cuts_its_times_to_whole_seconds_are_counted_as_rejected():
+    parser = stream()
+    fixes = received(parser, [time_ns // S * S for time_ns in EPOCHS], (gga, gst))
+    counts = parser.tally.by_source()["fix"]
+    assert counts == {"several readings of one time": len(EPOCHS) - len(fixes)}
+    assert len(fixes) < len(EPOCHS) / 2
+
+
 def test_fixes_without_a_time_are_stamped_at_arrival_and_empty_reads_move_no_stamp():
     parser = stream()
     parser.feed(b"", 0)

@@ -52,6 +52,7 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
             Rejection.CHECKSUM.value: "check the cable and serial_baud",
             Rejection.NO_PAIR.value: "set up the base as a moving base",
             ClockEvent.UNCHANGED.value: "restart the receiver",
+            ClockEvent.REPEATED.value: "let the receiver send fractions of seconds, and each sentence once",
         }
     )
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix

@@ -10,7 +10,10 @@ _NEXT_EPOCH_SHARE = 0.6  # of the epoch period: a message of equal rank that com
 
 
 class EpochSource:
-    """Selects the message of a measurement: the best rank, and the first of its epoch."""
+    """Selects the message of a measurement: the best rank, and the first of its epoch.
+
+    ``arrival_ns``: arrival of the latest message that is selected, duplicate or not.
+    """
 
     def __init__(self) -> None:
         self.duplicates = 0  # measurements dropped as duplicates of an epoch
@@ -21,7 +24,7 @@ class EpochSource:
         """Forget the selected message; any may come first."""
         self._name = ""
         self._rank = -1
-        self._stamp_ns = self._arrival_ns = -math.inf
+        self._stamp_ns = self.arrival_ns = -math.inf
         self._period_ns = 0.0  # between the latest two epochs; 0: unknown
 
     def accept(self, name: str, rank: int, stamp_ns: int, arrival_ns: int) -> bool:
@@ -40,9 +43,9 @@ class EpochSource:
         elif rank == self._rank:
             is_next = elapsed_ns > max(_NEXT_EPOCH_SHARE * self._period_ns, _SAME_EPOCH_NS)
         else:
-            is_next = arrival_ns - self._arrival_ns > _TIMEOUT_NS
+            is_next = arrival_ns - self.arrival_ns > _TIMEOUT_NS
         if is_same or rank > self._rank or is_next:
-            self._name, self._rank, self._arrival_ns = name, rank, arrival_ns
+            self._name, self._rank, self.arrival_ns = name, rank, arrival_ns
         if not is_next:
             self.duplicates += 1
             self.duplicates_of_same_kind += is_same

@@ -68,6 +68,7 @@ class ClockEvent(Enum):
 
     NOT_UTC = "not the host's UTC: latency assumed"
     UNCHANGED = "time of fixes does not advance"
+    REPEATED = "several readings of one time"
 
 
 class NmeaStream:
@@ -124,6 +125,7 @@ class NmeaStream:
             source.reset()
         self._kinds.clear()
         self._burst_ns: int | None = None  # epoch of the present burst
+        self._burst_begun_ns = 0
         self._burst_end_ns: int | None = None
         self._latest_position: tuple[Gga, int] | None = None  # latest position, and its stamp
         self._has_fix = True  # until a sentence states otherwise
@@ -143,7 +145,7 @@ class NmeaStream:
 
     def _decode_frame(self, frame: Frame) -> list[Sample]:
         if self._burst_end_ns is None or frame.begun_ns - self._burst_end_ns > _BURST_GAP_NS:
-            self._burst_ns = None
+            self._burst_ns, self._burst_begun_ns = None, frame.begun_ns
         self._burst_end_ns = frame.ended_ns
         if frame.kind is Kind.SENTENCE:
             return self._on_sentence(read_sentence(frame.content), frame)
@@ -201,7 +203,7 @@ class NmeaStream:
         assert self._pvt is not None
         (self._pvt_out_ns, *place, quality, stddevs, _), stamp_ns, begun_ns = self._pvt
         self._pvt = None
-        if not self._position.accept("UBX", _ACCURACY_RANK, stamp_ns, begun_ns):
+        if not self._is_first(FIX, self._position, "UBX", _ACCURACY_RANK, stamp_ns, begun_ns):
             return []
         variances, kind = _stated_variances(stddevs)
         latitude, longitude, altitude = place
@@ -246,10 +248,12 @@ class NmeaStream:
         if self._is_old(reading.time_ns):
             return []
         if isinstance(reading, Heading):
-            if not self._direction.accept(source, reading.stddev > 0.0, stamp_ns, begun_ns):
+            if not self._is_first(HEADING, self._direction, source, reading.stddev > 0.0, stamp_ns, begun_ns):
                 return []
             return [HeadingSample(stamp_ns, reading.yaw, reading.stddev or self._p.heading_stddev)]
-        if isinstance(reading, Gga) and not self._position.accept(source, 0, stamp_ns, begun_ns):
+        if isinstance(reading, Gga) and not self._is_first(
+            FIX, self._position, source, 0, stamp_ns, begun_ns
+        ):
             return []
         if isinstance(reading, Gst):
             return self._on_gst(reading, stamp_ns)
@@ -270,7 +274,7 @@ class NmeaStream:
             self.tally.add(VELOCITY, reading)
             return []
         stamp_ns, rank = self._stamp(reading.time_ns, begun_ns), int(reading.stddev > 0.0)
-        if not self._speed.accept(source, rank, stamp_ns, begun_ns):
+        if not self._is_first(VELOCITY, self._speed, source, rank, stamp_ns, begun_ns):
             return []
         stddev = reading.stddev or self._p.velocity_stddev
         return [
@@ -325,6 +329,16 @@ class NmeaStream:
             self.latency_ns = begun_ns - self._burst_ns
         moment_ns = begun_ns - self._latency_ns if self._burst_ns is None else self._burst_ns
         return moment_ns + round(self._p.time_offset * 1e9)
+
+    def _is_first(
+        self, topic: str, of: EpochSource, name: str, rank: int, stamp_ns: int, begun_ns: int
+    ) -> bool:
+        """Whether a reading is the used one of its epoch; a repetition in a later burst is counted."""
+        before, last_ns = of.duplicates_of_same_kind, of.arrival_ns
+        is_first = of.accept(name, rank, stamp_ns, begun_ns)
+        if of.duplicates_of_same_kind > before and last_ns < self._burst_begun_ns:
+            self.tally.add(topic, ClockEvent.REPEATED)
+        return is_first
 
     def _is_old(self, stated_ns: int | None) -> bool:
         """Whether the receiver repeats a reading of this time, which is counted."""
