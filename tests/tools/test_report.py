@@ -160,6 +160,20 @@ def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run, tmp_p
     assert [(curve.label, curve.values[-1]) for curve in likely] == [("dry_clay", 70.0), ("sand", 30.0)]  # %
 
 
+def test_times_count_from_the_begin_of_a_bag_whose_stamps_are_of_simulated_time(
+    emulated_bag: Path, run_over: Callable[..., Run], tmp_path: Path
+) -> None:
+    """Simulated time begins at 0; the recorder logs by the computer's clock."""
+    with open_bag(emulated_bag) as bag:
+        logged = [message._replace(log_time_ns=message.log_time_ns + 10**18) for message in bag.messages()]
+    run, changed = run_over(emulated_bag), run_over(write_messages(tmp_path / "bag", logged))
+    assert changed.states is not None
+    assert run.states is not None
+    seconds = changed.recording.seconds(changed.states.path.stamps_ns)
+    np.testing.assert_allclose(seconds, run.recording.seconds(run.states.path.stamps_ns), atol=0.1)
+    assert changed.replay.longest_gap == pytest.approx(run.replay.longest_gap, abs=0.1)
+
+
 @pytest.mark.parametrize("is_identifiable", [True, False])
 def test_only_an_identifiable_soil_is_named_as_found(run: Run, tmp_path: Path, is_identifiable: bool) -> None:
     stamped = make(TOPICS[SOIL].type_name, header=header(0, ""), identifiable=is_identifiable, **SOIL_FIELDS)

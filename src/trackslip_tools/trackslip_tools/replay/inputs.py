@@ -31,6 +31,7 @@ from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.arrays import BoolArray, IntArray, Rows
 from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
 from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, SwingFields
 from trackslip_common.message_reading import frame_number
 from trackslip_common.parameters import reloadable_names
@@ -63,6 +64,7 @@ from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 
+_OTHER_CLOCK_NS = 60_000_000_000  # between stamps and log times of one clock, at most
 _ADJACENT_NS = 500_000_000  # between two spans: a slow topic has no message at their border
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # the bag holds only their lines in the journal
 
@@ -98,6 +100,7 @@ class InputStream:
         original_names = {after: before for before, after in filters.remap.items()}
         require_topics(bag, [original_names.get(SPROCKETS, SPROCKETS)])
         self._bag, self._filters, self._tables = bag, filters, tables
+        self.stamp_origin_ns = stamp_origin_ns(bag, original_names.get(SPROCKETS, SPROCKETS))
         self._reloadable = reloadable_names(p)
         names = {topic: filters.remap.get(name, name) for topic, name in input_names(bag).items()}
         self._readers = _source_readers(
@@ -316,6 +319,20 @@ class _ParameterChanges:
 
     def _changed_parameters(self, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
         return {n: now[n] for n in self._names & now.keys() if now[n] != before.get(n)}
+
+
+def stamp_origin_ns(bag: Bag, sprockets: str = SPROCKETS) -> int:
+    """The stamps' time at the bag's first message: its log time, unless stamps are of another clock.
+
+    Simulated time begins at 0, while the recorder goes by the computer's clock.
+    """
+    topic = next((topic for topic, name in input_names(bag).items() if name == sprockets), None)
+    first = None if topic is None else next(bag.messages([topic]), None)
+    if first is None:
+        return bag.start_ns
+    message = bag.deserialize(first.raw, first.type_name)
+    offset_ns = stamp_ns_of(message) - first.log_time_ns if hasattr(message, "header") else 0
+    return bag.start_ns + (offset_ns if abs(offset_ns) > _OTHER_CLOCK_NS else 0)
 
 
 def _source_readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:

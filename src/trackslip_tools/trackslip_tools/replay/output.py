@@ -189,7 +189,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "learned": to_json(result.findings) if result.learned else None,
         "explanations": [
             {
-                "t": (h.stamp_ns - result.start_ns) * 1e-9,
+                "t": (h.stamp_ns - result.stamp_origin_ns) * 1e-9,
                 "event": h.event.name.lower(),
                 "source": h.source,
                 "probability": h.probability,
@@ -235,7 +235,7 @@ def text(result: Replay, elapsed_s: float) -> str:
 
 def _stuck_track_lines(result: Replay) -> list[str]:
     """Lines on tracks that stalled or got stuck, and on the longest time without fixes."""
-    lines = stuck_track_lines(result.soil.forces, result.start_ns) if result.soil is not None else []
+    lines = stuck_track_lines(result.soil.forces, result.stamp_origin_ns) if result.soil is not None else []
     if result.longest_gap is not None:
         begin, end = result.longest_gap
         duration = f"{end - begin:.1f} s, from {begin:.1f} to {end:.1f} s"
@@ -247,7 +247,9 @@ def _event_lines(result: Replay) -> list[str]:
     """Lines on the events that explain contradictions; single outliers are only counted."""
     events = [h for h in result.accepted_events if h.event is not Event.OUTLIER]
     outliers = len(result.accepted_events) - len(events)
-    lines = [f"  {(h.stamp_ns - result.start_ns) * 1e-9:8.1f} s  {h.text}" for h in events[:_MOST_EVENTS]]
+    lines = [
+        f"  {(h.stamp_ns - result.stamp_origin_ns) * 1e-9:8.1f} s  {h.text}" for h in events[:_MOST_EVENTS]
+    ]
     lines += [f"  and {len(events) - _MOST_EVENTS} more"] if len(events) > _MOST_EVENTS else []
     lines += [f"  {outliers} single outliers"] if outliers else []
     return ["events that explain contradictions", *lines] if lines else []

@@ -89,6 +89,7 @@ class Replay:
     accepted_events: list[AcceptedEvent] = field(default_factory=list)  # events that explain contradictions
     withheld: list[WithholdResult] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
+    stamp_origin_ns: int = 0  # time of the stamps then
     travel: Travel = field(default_factory=Travel)
     start: str = ""  # line on what was learned before the bag; empty: nothing
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
@@ -180,8 +181,8 @@ class Collector:
         result = Replay(
             stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
         )
-        result.start_ns = stream.start_ns
-        result.longest_gap = self._gaps.longest_gap(self._newest_ns, stream.start_ns)
+        result.start_ns, result.stamp_origin_ns = stream.start_ns, stream.stamp_origin_ns
+        result.longest_gap = self._gaps.longest_gap(self._newest_ns, stream.stamp_origin_ns)
         result.travel = self._travel
         result.reference, result.series = self._reference, self._series.series()
         result.slip_rmse = self._slips.rmse

@@ -18,6 +18,7 @@ from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.message_reading import RecordClass, dtype_of
 from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
+from trackslip_tools.replay.inputs import SPROCKETS, stamp_origin_ns
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.quantities import classes_of
 from trackslip_tools.report.state_intervals import StateInterval
@@ -138,7 +139,8 @@ class Recording:
 
     path: str
     start_ns: int  # log time of the bag's first message
-    zero_ns: int  # origin of times: ``start_ns``, or the start of driving
+    stamp_origin_ns: int  # time of the stamps then
+    zero_ns: int  # stamp at the origin of times: ``stamp_origin_ns``, or the start of driving
     start_s: float  # start of the reported part
     stop_s: float
     damage: str
@@ -178,7 +180,9 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
     names = {topic: filters.remap.get(relative_name(topic), relative_name(topic)) for topic in bag.topics}
     start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
     logged: dict[str, list[IntArray]] = {name: [] for name in names.values()}
-    numbers = {name: _NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}
+    original_names = {after: before for before, after in filters.remap.items()}
+    origin_ns = stamp_origin_ns(bag, original_names.get(SPROCKETS, SPROCKETS))
+    numbers = {name: _NumbersCollector(kind, origin_ns) for name, kind in _NUMBERS.items()}
     scans = _Scans(sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN))
     lights = LightLog(namespace)
     window = (bag.start_ns + round(start_s * 1e9), bag.start_ns + round(stop_s * 1e9) + 1)
@@ -199,7 +203,8 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
     return Recording(
         path=str(bag.path),
         start_ns=bag.start_ns,
-        zero_ns=bag.start_ns,
+        stamp_origin_ns=origin_ns,
+        zero_ns=origin_ns,
         start_s=start_s,
         stop_s=stop_s,
         damage=bag.damage,

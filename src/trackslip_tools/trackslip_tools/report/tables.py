@@ -90,7 +90,7 @@ def differing_rows(rows: Sequence[Row]) -> list[Row]:
 def run_facts(run: Run, colour: str) -> dict[str, str]:
     """Facts of a run for the head of the page."""
     recording, p = run.recording, run.parameters
-    since_start_s = (recording.zero_ns - recording.start_ns) * 1e-9
+    since_start_s = (recording.zero_ns - recording.stamp_origin_ns) * 1e-9
     begin, end = recording.start_s + since_start_s, recording.stop_s + since_start_s
     start = datetime.fromtimestamp(recording.start_ns * 1e-9, tz=timezone.utc)
     return {
