@@ -341,3 +341,19 @@ def test_unrequested_scans_are_counted_and_a_refusal_to_stream_starts_it_again()
     puppet.answer(ack=b"\x15")
     assert puppet.session.phase is Phase.PROBING
     assert puppet.count(SessionFault.REFUSED) == 1
+
+
+def test_damaged_scans_are_counted_by_their_checksum_and_not_by_their_bytes() -> None:
+    bench = Bench()
+    bench.run_until(Phase.STREAMING, 30.0)
+    bench.session.tally.new_counts()
+    receive = bench.session.receive
+
+    def receive_damaged(data: bytes, arrival_ns: int) -> list[Scan]:
+        return receive(bytes(byte ^ (bench.rng.random() < 1e-3) for byte in data), arrival_ns)
+
+    bench.session.receive = receive_damaged  # type: ignore[method-assign]
+    bench.run(5.0)
+    counts = bench.session.tally.new_counts()
+    assert max(counts, key=lambda key: counts[key]) == ("scan", "bad CRC")
+    assert sum(counts.values()) < 60

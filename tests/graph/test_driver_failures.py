@@ -101,11 +101,11 @@ def test_reopened_silent_port_is_reported_as_silent(domain, monkeypatch):
 def test_most_frequent_reason_is_reported_as_last_rejection(driver):
     """A scanner sends garbage; occasionally it answers at no rate."""
     driver.port.items.put(b"1")
-    reasons = Enum("reasons", {"GARBAGE": "garbage byte", "MUTE": "no answer at any rate"})
+    reasons = Enum("reasons", {"GARBAGE": "bytes between telegrams", "MUTE": "no answer at any rate"})
     for _ in range(3):
         driver.tally.add("scan", reasons.GARBAGE, 40)
         driver.tally.add("scan", reasons.MUTE)
-        assert driver.health()[0].values["last rejected"] == "garbage byte"
+        assert driver.health()[0].values["last rejected"] == "bytes between telegrams"
 
 
 def test_remedy_is_that_of_the_reason(driver, monkeypatch):

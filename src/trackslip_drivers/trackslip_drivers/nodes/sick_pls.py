@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,12 +17,14 @@ from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import SerialDriverNode
 from trackslip_drivers.protocols.sick_commands import Severity
 from trackslip_drivers.protocols.sick_scan import DeviceStatus
-from trackslip_drivers.protocols.sick_session import Phase, SickSession, scan_period
+from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession, scan_period
+from trackslip_drivers.protocols.sick_telegram import TelegramFault
 from trackslip_drivers.sick_parameters import SickParameters
 
 _DIALOGUE_STEP = 0.01  # s between steps of the dialogue
 _STREAMING_STEP = 0.1  # s between steps while scans come, which only detect a silent scanner
 _STOP_TIMEOUT = 0.3  # s for the scanner to stop streaming
+_FORMAT_REMEDY = "check serial_baud, parity and the cable"
 
 
 class SickNode(SerialDriverNode[SickParameters]):
@@ -31,6 +34,16 @@ class SickNode(SerialDriverNode[SickParameters]):
     """
 
     device = "SICK"
+    remedies = MappingProxyType(
+        {
+            TelegramFault.BAD_CRC.value: "check the cable and its shield",
+            TelegramFault.TRUNCATED.value: "check the cable",
+            **dict.fromkeys((TelegramFault.GARBAGE.value, TelegramFault.BAD_LENGTH.value), _FORMAT_REMEDY),
+            SessionFault.NO_ANSWER.value: "check model, and both lines of the cable (RS-232 or RS-422)",
+            SessionFault.BAUD.value: "set serial_baud to a rate that port and scanner support",
+            SessionFault.SILENT.value: "check power and cable",
+        }
+    )
 
     def __init__(self) -> None:
         super().__init__("sick_pls", SickParameters, "sick_pls.yaml")
@@ -69,7 +82,8 @@ class SickNode(SerialDriverNode[SickParameters]):
         """The link's health, with the phase of the dialogue, a refused password or rate, and the status."""
         entries = super().health()
         phase, baud = self._session.phase, self._session.baud
-        entries[0].values.update({"phase": phase.value, "rate (Bd)": baud})
+        values = {"phase": phase.value, "rate (Bd)": baud, "discarded bytes": self._session.discarded_bytes}
+        entries[0].values.update(values)
         if phase is Phase.FAILED:
             entries.append(Health(ERROR, phase.value, part="password"))
         if phase is Phase.STREAMING and baud != self.settings.serial_baud:

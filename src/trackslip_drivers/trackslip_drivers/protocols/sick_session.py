@@ -125,12 +125,17 @@ class SickSession:
         self._write = b""
         self._script: Script[None] = self._run()
 
+    @property
+    def discarded_bytes(self) -> int:
+        """Number of bytes that belong to no telegram."""
+        return self._parser.discarded_bytes
+
     def receive(self, data: bytes, arrival_ns: int) -> list[Scan]:
         """The scans completed by one read (which may be empty) at ``arrival_ns``."""
         if data:
             self._last_byte_ns = arrival_ns
         if self._backlog.is_backlog(self._transfer_ns(len(data)), arrival_ns):
-            self.tally.add(_SOURCE, StampEvent.DELAYED, len(data))
+            self.tally.add(_SOURCE, StampEvent.DELAYED, bool(data))
             self._parser.discard_pending()
             self._last_scan_ns = arrival_ns  # the host was suspended, the scanner was not silent
             return []

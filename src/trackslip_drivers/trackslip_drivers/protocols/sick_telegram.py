@@ -37,7 +37,7 @@ _CONTROLS = {control.value: control for control in Control}
 class TelegramFault(Enum):
     """Reason for discarding bytes."""
 
-    GARBAGE_BYTE = "garbage byte"  # every discarded byte, including those of the faults below
+    GARBAGE = "bytes between telegrams"  # that follow no other fault
     BAD_LENGTH = "bad length"
     BAD_CRC = "bad CRC"
     TRUNCATED = "truncated telegram"
@@ -75,7 +75,10 @@ class TelegramParser:
         address: of the telegrams to accept (``FROM_SENSOR`` on the host's side).
         baud: rate of the line.
         bits_per_char: 11 for 8E1, 10 for 8N1.
-        tally: counts rejections, under ``source``.
+        tally: counts rejections, under ``source``: each fault once, not its bytes.
+
+    Attributes:
+        discarded_bytes: number of bytes that belong to no telegram and no control.
     """
 
     def __init__(self, address: int, baud: int, bits_per_char: int, tally: Tally, source: str) -> None:
@@ -85,6 +88,8 @@ class TelegramParser:
         self._received = TimedBytes(bits_per_char, baud)
         self._buffer = self._received.data
         self._in_garbage = False
+        self._uncounted = 0  # bytes discarded since the latest fault that was counted
+        self.discarded_bytes = 0
         self._last_arrival_ns: int | None = None
 
     @property
@@ -100,7 +105,7 @@ class TelegramParser:
 
     def discard_pending(self) -> None:
         """After a loss of bytes: drop the incomplete telegram, and treat the next bytes as garbage."""
-        self._reject(TelegramFault.GARBAGE_BYTE, len(self._buffer))
+        self.discarded_bytes += len(self._buffer)
         self._received.clear()
         self._in_garbage = True
 
@@ -118,9 +123,7 @@ class TelegramParser:
             self._parse_buffer(events)
         elif was_silent:
             while self._buffer:
-                self._reject(TelegramFault.TRUNCATED)
-                self._reject(TelegramFault.GARBAGE_BYTE)
-                self._in_garbage = True
+                self._discard_byte(TelegramFault.TRUNCATED)
                 self._received.discard(1)
                 self._parse_buffer(events)
         return events
@@ -133,10 +136,7 @@ class TelegramParser:
             if item is None:
                 break
             if isinstance(item, TelegramFault):
-                if item is not TelegramFault.GARBAGE_BYTE:
-                    self._reject(item)
-                self._reject(TelegramFault.GARBAGE_BYTE)
-                self._in_garbage = True
+                self._discard_byte(item)
                 at += 1
             else:
                 events.append(item)
@@ -149,9 +149,9 @@ class TelegramParser:
         buffer, available = self._buffer, len(self._buffer) - at
         if buffer[at] != STX:
             control = _CONTROLS.get(buffer[at])
-            return control if control and not self._in_garbage else TelegramFault.GARBAGE_BYTE
+            return control if control and not self._in_garbage else TelegramFault.GARBAGE
         if available >= 2 and buffer[at + 1] != self._address:
-            return TelegramFault.GARBAGE_BYTE
+            return TelegramFault.GARBAGE
         if available < _HEADER:
             return None
         length = int.from_bytes(buffer[at + 2 : at + _HEADER], "little")
@@ -166,6 +166,12 @@ class TelegramParser:
         start_ns = self._received.begun_ns(at)
         return Telegram(telegram[_HEADER:-2], start_ns, start_ns + self._received.transfer_ns(size))
 
-    def _reject(self, fault: TelegramFault, count: int = 1) -> None:
-        if count:
-            self._tally.add(self._source, fault, count)
+    def _discard_byte(self, fault: TelegramFault) -> None:
+        """Discard a byte. Within garbage, only whole false telegrams and long garbage count as faults."""
+        self.discarded_bytes += 1
+        self._uncounted += 1
+        is_fault = fault in (TelegramFault.BAD_CRC, TelegramFault.TRUNCATED)
+        if is_fault or not self._in_garbage or self._uncounted > MAX_TELEGRAM:
+            self._tally.add(self._source, fault)
+            self._uncounted = 0
+        self._in_garbage = True
