@@ -181,17 +181,23 @@ def test_headings_in_use_without_variance_are_not_plausible(healthy: Path, tmp_p
         assert found == ["gnss_pose"] * is_used
 
 
-def test_a_clock_that_is_set_back_while_it_records_is_named(healthy: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("set_back_s", [3, 3600])
+def test_a_clock_that_is_set_back_while_it_records_is_named(
+    healthy: Path, tmp_path: Path, set_back_s: int
+) -> None:
     with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
         middle_ns = (bag.start_ns + bag.end_ns) // 2
         for m in bag.messages():
-            content, back_s = bag.deserialize(m.raw, m.type_name), 3 if m.log_time_ns > middle_ns else 0
+            content, back_s = bag.deserialize(m.raw, m.type_name), set_back_s * (m.log_time_ns > middle_ns)
             if hasattr(content, "header"):
-                content.header.stamp.sec -= back_s
-            writer.write(m.topic, m.type_name, serialize(content), m.log_time_ns - back_s * 10**9)
+                content.header.stamp.sec += 10**6 - back_s
+            log_time_ns = m.log_time_ns + (10**6 - back_s) * 10**9
+            writer.write(m.topic, m.type_name, serialize(content), log_time_ns)
     result = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)
     (cause,) = (cause for cause in result["causes"] if cause["cause"] == "clock_set_back")
-    assert f"--stop {(middle_ns - bag.start_ns) * 1e-9 - 3.0:.0f}" in cause["remedy"]
+    half_s = (middle_ns - bag.start_ns) * 1e-9
+    begin = f"--stop {half_s - 3.0:.0f}" if set_back_s == 3 else f"--start {set_back_s - half_s - 0.1:.1f}"
+    assert begin in cause["remedy"]
 
 
 @pytest.mark.parametrize("step_s", [3 * 3600, 3 * 365 * 86_400, 56 * 365 * 86_400])

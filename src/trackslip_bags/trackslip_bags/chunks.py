@@ -84,6 +84,26 @@ def read_stretches(
         yield from _stretches_by_message(bag, types, reached_ns, stop)
 
 
+def exchanged_parts(bag: Bag) -> Span | None:
+    """Log times between two parts of a bag of which the second was recorded first, as its clock was set back.
+
+    None: there are no such parts, or the order written is unknown.
+    """
+    try:
+        with ExitStack() as stack:
+            streams = [stack.enter_context(path.open("rb")) for path in bag.files]
+            summaries = [make_reader(stream).get_summary() for stream in streams]
+            parts = [part for one in summaries for part in chunks_of(streams[0], one, {}, 0)]
+    except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
+        return None
+    begins = np.array([part.chunk.message_start_time for part in parts], np.int64)
+    ends = np.array([part.chunk.message_end_time for part in parts], np.int64)
+    for k in range(1, len(parts)):
+        if ends[k:].max() < begins[:k].min():
+            return Span(int(ends[k:].max()), int(begins[:k].min()))
+    return None
+
+
 def _stretches_by_message(
     bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int
 ) -> Iterator[Stretch]:

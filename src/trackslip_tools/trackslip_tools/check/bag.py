@@ -94,18 +94,26 @@ def _invalid_sources(stream: InputStream) -> list[Cause]:
 
 def _recorder_set_back(stream: InputStream) -> list[Cause]:
     """A cause if the clock of the recorder was set back: readings of two times are mixed."""
-    span = stream.passed_twice
-    if span is None or span.end_ns - span.begin_ns < _SET_BACK_NS:
+    twice, exchanged = stream.passed_twice, stream.exchanged_parts
+    if exchanged is not None:
+        end, begin = ((t - stream.start_ns) * 1e-9 for t in exchanged)
+        evidence = (
+            f"was set back: it recorded what it logged from {begin:.1f} s of the bag on before the rest"
+        )
+        how = f"Replay --start {begin - 0.1:.1f}, and --stop {end + 0.1:.1f} by itself"
+    elif twice is not None and twice.end_ns - twice.begin_ns >= _SET_BACK_NS:
+        begin, end = ((t - stream.start_ns) * 1e-9 for t in twice)
+        evidence = f"was set back: it passed {begin:.1f} s to {end:.1f} s of the bag twice"
+        how = f"Replay --stop {begin:.1f}, and --start {end:.1f} by itself"
+    else:
         return []
-    begin, end = ((t - stream.start_ns) * 1e-9 for t in span)
-    evidence = f"the recorder's clock was set back: it passed {begin:.1f} s to {end:.1f} s of the bag twice"
-    remedy = f"Replay --stop {begin:.1f}, and --start {end:.1f} by itself; set the clock before a drive"
+    evidence, remedy = f"the recorder's clock {evidence}", f"{how}; set the clock before a drive"
     return [Cause("clock_set_back", "recorder", evidence, READ_OFF, remedy)]
 
 
 def _long_pause(stream: InputStream) -> list[str]:
     """A line if no sprocket sample was logged for hours, with the commands for the drive on each side."""
-    pause = stream.longest_pause
+    pause = stream.longest_pause if stream.exchanged_parts is None else None
     if pause is None or pause.end_ns - pause.begin_ns < _LONG_PAUSE_NS:
         return []
     begin, end = ((t - stream.start_ns) * 1e-9 for t in pause)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_bags.chunks import Span
+from trackslip_bags.chunks import Span, exchanged_parts
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.manual_poses import input_names
 from trackslip_bags.parameters import (
@@ -118,6 +118,7 @@ class InputStream:
         self.rejected, self._frames = Tally(), p.frames_of_sources()
         self.withholding = Withholding(filters, bag.start_ns)
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
+        self.exchanged_parts = exchanged_parts(bag)
         self.passed_twice: Span | None = None  # the longest so far
         self.longest_pause: Span | None = None  # of the sprockets, by log time
         self._sprockets_until_ns: int | None = None
