@@ -219,7 +219,7 @@ def test_a_drive_on_both_sides_of_a_clock_that_is_set_forward_is_checked(
     result = json_of(tmp_path, "check", tmp_path / "bag")
     assert result["plausible"]
     (note,) = result["notes"]
-    stop_s, start_s = (float(re.search(rf"--{n} ([\d.]+)", note).group(1)) for n in ("stop", "start"))  # type: ignore[union-attr]
+    stop_s, start_s = (float(re.search(rf"--{n} ([\d.]+)", note).group(1)) for n in ("stop", "start"))
     assert (stop_s, start_s) == pytest.approx((seconds, seconds + step_s), abs=0.2)
 
 
