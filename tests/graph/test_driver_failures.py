@@ -16,6 +16,10 @@ from fixtures.patience import wait_for
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.nodes.nmea_gnss import NmeaNode
+from trackslip_drivers.nodes.sick_pls import SickNode
+from trackslip_drivers.nodes.watson_imu import WatsonNode
+from trackslip_drivers.protocols import watson
 from trackslip_drivers.protocols.sick_telegram import TelegramFault
 from trackslip_drivers.stamping import StampEvent
 
@@ -116,6 +120,20 @@ def test_remedy_is_that_of_the_reason(driver, monkeypatch):
     assert driver.health()[0].message == "running; some is rejected: 7 of 9; check the cable"
     driver._last_s = -math.inf
     assert driver.health()[0].message.endswith("none is usable: 7 of 9; check the cable")
+
+
+@pytest.mark.parametrize(
+    ("node", "reason"),
+    [
+        (NmeaNode, "no complete message"),  # of a scanner, or an inertial unit
+        (WatsonNode, watson.Rejection.TEXT.value),  # of a receiver
+        (WatsonNode, watson.Rejection.OVERLONG.value),  # of a scanner
+        (SickNode, TelegramFault.GARBAGE.value),
+    ],
+)
+def test_remedy_for_the_data_of_another_device_names_the_port(node, reason):
+    """Ports change their numbers when a computer starts, or when devices are plugged in again."""
+    assert "is on this port" in node.remedies.get(reason, node.format_advice)
 
 
 def test_reason_of_unusable_data_is_a_recent_rejection(driver, monkeypatch):

@@ -39,6 +39,7 @@ _LONGEST_INTERVAL = 10.0  # s between messages of a device that sends at all
 _SETTLING_TIME = 1.0  # s beyond the limit in which unusable data are only a warning
 _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
+PORT_REMEDY = "check serial_baud, parity, and that the device is on this port (/dev/serial/by-id)"
 _REMEDIES = {  # text of an error of the port → remedy
     os.strerror(errno.EACCES): "add this user to the group of the port (dialout)",
     os.strerror(errno.ENOENT): "check power and cable, and name the port as in /dev/serial/by-id",
@@ -245,6 +246,8 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
 
 class SerialDriverNode(DriverNode[L, bytes]):
     """Base of the drivers of devices on a serial line, or behind another URL of pyserial."""
+
+    format_advice = PORT_REMEDY
 
     def hardware(self) -> str:
         """The serial port."""

@@ -14,7 +14,7 @@ from trackslip_common.nodes.health import ERROR, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.nodes.driver import SerialDriverNode
+from trackslip_drivers.nodes.driver import PORT_REMEDY, SerialDriverNode
 from trackslip_drivers.protocols.sick_commands import Severity
 from trackslip_drivers.protocols.sick_scan import DeviceStatus
 from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession, scan_period
@@ -24,7 +24,6 @@ from trackslip_drivers.sick_parameters import SickParameters
 _DIALOGUE_STEP = 0.01  # s between steps of the dialogue
 _STREAMING_STEP = 0.1  # s between steps while scans come, which only detect a silent scanner
 _STOP_TIMEOUT = 0.3  # s for the scanner to stop streaming
-_FORMAT_REMEDY = "check serial_baud, parity and the cable"
 
 
 class SickNode(SerialDriverNode[SickParameters]):
@@ -38,7 +37,7 @@ class SickNode(SerialDriverNode[SickParameters]):
         {
             TelegramFault.BAD_CRC.value: "check the cable and its shield",
             TelegramFault.TRUNCATED.value: "check the cable",
-            **dict.fromkeys((TelegramFault.GARBAGE.value, TelegramFault.BAD_LENGTH.value), _FORMAT_REMEDY),
+            **dict.fromkeys((TelegramFault.GARBAGE.value, TelegramFault.BAD_LENGTH.value), PORT_REMEDY),
             SessionFault.NO_ANSWER.value: "check model, and both lines of the cable (RS-232 or RS-422)",
             SessionFault.BAUD.value: "set serial_baud to a rate that port and scanner support",
             SessionFault.SILENT.value: "check power and cable",

@@ -11,7 +11,7 @@ from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.nodes.driver import REPORT_TIME, SerialDriverNode
+from trackslip_drivers.nodes.driver import PORT_REMEDY, REPORT_TIME, SerialDriverNode
 from trackslip_drivers.protocols.watson import Layout, Rejection
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.watson_parameters import WatsonParameters
@@ -25,10 +25,10 @@ class WatsonNode(SerialDriverNode[WatsonParameters]):
         {
             Rejection.WRONG_COUNT.value: "set channels, formats and full_scales to those of the unit",
             Rejection.MALFORMED.value: "set channels, formats and full_scales to those of the unit",
-            Rejection.TEXT.value: "switch the unit off and on",
+            Rejection.TEXT.value: f"switch the unit off and on, and {PORT_REMEDY}",
             Rejection.INVALID.value: "switch the unit off and on",
-            Rejection.OVERLONG.value: "check serial_baud and parity",
-            Rejection.GARBLED.value: "check serial_baud and parity",
+            Rejection.OVERLONG.value: PORT_REMEDY,
+            Rejection.GARBLED.value: PORT_REMEDY,
         }
     )
     period = 1.0 / 11.85
