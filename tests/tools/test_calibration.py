@@ -202,6 +202,34 @@ def test_missing_sensors_are_refused_too() -> None:
     assert "taken as 1" in without_poses["turning_efficiency"].basis
 
 
+def test_reason_without_a_sensor_names_the_sensor() -> None:
+    whole = recorded(Drive(), 4)
+    parts = {
+        "gyro": replace(whole, gyro=Series(np.empty(0), np.empty((0, 3)))),
+        "fixes": replace(whole, poses=Series(np.empty(0), np.empty((0, 6)))),
+        "hydraulics": replace(whole, hydraulics=Series(np.empty(0), np.empty((0, 4)))),
+    }
+    names = {
+        "gyro": ("gyro_bias", "gyro_sign", "imu_roll", "gyro_delay", "asymmetry", "turning_efficiency"),
+        "fixes": ("effective_rolling_radius", "rolling_radius", "common_slip"),
+        "hydraulics": ("left_pressure_offset",),
+    }
+    for sensor, recording in parts.items():
+        findings = calibrate([recording], P, SOURCES).findings
+        assert all(f"no {sensor} in the bags" in findings[name].reason for name in names[sensor]), sensor
+
+
+def test_gyro_of_one_axis_shows_no_mounting() -> None:
+    """An import of a single rate leaves the others at 0: no angle of exactly 0 follows from them."""
+    whole = recorded(Drive(), 4)
+    one_axis = replace(whole, gyro=Series(whole.gyro.t, whole.gyro.values * (0.0, 0.0, 1.0)))
+    findings = calibrate([one_axis], P, SOURCES).findings
+    for name in ("imu_roll", "imu_pitch"):
+        assert not findings[name].has_value
+        assert "one axis" in findings[name].reason
+    assert findings["gyro_scale"].has_value
+
+
 def test_radius_and_slip_are_separated_only_by_an_option() -> None:
     soft, hard = (calibrated(Drive(), 5, hard_ground) for hard_ground in (False, True))
     assert not soft.findings["rolling_radius"].has_value

@@ -25,6 +25,19 @@ _VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
 _DRIVERS = {"imu/data_raw": "watson_imu", "box_pose": "sick_pls"}  # topic → driver with ``time_offset``
 _NO_FINDING = Finding("", None, None)
 _MIN_EFFICIENCY_STDDEV = 0.02  # of κ, least standard deviation
+_NEEDED = {  # series of a recording → findings without a value where no bag has it
+    "gyro": (
+        *("gyro_bias", "gyro_sign", "gyro_scale", "pose_delay", "heading_delay", "imu_roll", "imu_pitch"),
+        *("gyro_delay", "asymmetry", "turning_efficiency", "effective_tread"),
+    ),
+    "poses": ("effective_rolling_radius", "rolling_radius", "common_slip"),
+    "hydraulics": ("left_pressure_offset", "right_pressure_offset"),
+}
+_MISSING = {
+    "gyro": "no gyro in the bags (--gyro names one)",
+    "poses": "no fixes in the bags (--poses names them)",
+    "hydraulics": "no hydraulics in the bags",
+}
 
 
 @dataclass(frozen=True)
@@ -70,16 +83,30 @@ def calibrate(
         findings["common_slip"] = _common_slip(distance, radius)
     turns = tracks.turning_gain(recordings, sensor)
     tread = p.vehicle.kinematics.tread
-    findings["asymmetry"] = tracks.asymmetry(recordings, sensor, turns.gain.value, radius)
+    findings["asymmetry"] = tracks.asymmetry(recordings, sensor, turns.gain, radius)
     findings |= _turning_findings(turns.gain, findings["gyro_scale"], radius, tread)
     findings["tread"] = empty_finding(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
+    findings |= _findings_without_sensor(findings, recordings)
     findings = setup_results.remove_contradicted(findings, setups) | setup_results.combine_measured(setups)
     spread = turns.stddev * tread / radius
     confirmed = () if everything else _confirmed_names(findings, p, sources[0])
     new_findings = {name: _NO_FINDING if name in confirmed else finding for name, finding in findings.items()}
     return Calibration(findings, _node_parameters(new_findings, spread, p, sources), confirmed)
+
+
+def _findings_without_sensor(
+    findings: Mapping[str, Finding], recordings: Sequence[Recording]
+) -> dict[str, Finding]:
+    """Findings that need a sensor which no recording has; the reason names the sensor."""
+    missing = [key for key in _NEEDED if not any(len(getattr(r, key).t) for r in recordings)]
+    return {
+        name: empty_finding(_MISSING[key], findings[name].unit)
+        for key in missing
+        for name in _NEEDED[key]
+        if name in findings
+    }
 
 
 def _confirmed_names(

@@ -40,6 +40,7 @@ _MIN_HEADING_STDDEV = 5e-4  # rad, least standard deviation of a heading
 _SHORTEST_TURN = 0.5  # s, of a turn
 _BLOCK_LENGTH = 2.0  # s, block of headings that are averaged for the scale
 _ITERATIONS = 5  # Gauss–Newton steps, for the delay
+_MOUNTING_UNITS = {"imu_roll": "rad", "imu_pitch": "rad"}
 
 
 class _HeadingsWithGyro(NamedTuple):
@@ -103,7 +104,11 @@ def mounting_angles(recordings: Sequence[Recording]) -> dict[str, Finding]:
             clusters.append(block_numbers(t[inside], 1.0, k))
     rates, cluster, total = np.concatenate(rows), np.concatenate(clusters), _total_turn(recordings)
     if total < LEAST_TURN:
-        return empty_findings(_insufficient_turn(total), {"imu_roll": "rad", "imu_pitch": "rad"})
+        return empty_findings(_insufficient_turn(total), _MOUNTING_UNITS)
+    if not np.ptp(rates[:, :2], axis=0).all():
+        return empty_findings(
+            "the gyro measures one axis: its rates about x or y never change", _MOUNTING_UNITS
+        )
     X = np.column_stack((rates[:, 2], np.ones(len(rates))))
     findings = {}
     for name, rate in (("imu_roll", rates[:, 1]), ("imu_pitch", -rates[:, 0])):

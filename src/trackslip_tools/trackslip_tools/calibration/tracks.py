@@ -95,17 +95,17 @@ def turning_gain(recordings: Sequence[Recording], gyro: Gyro) -> TurningGain:
     )
 
 
-def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, radius: float) -> Finding:
+def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: Finding, radius: float) -> Finding:
     """ε, from the straights; ``gain`` is r κ/B."""
-    if gain is None:
-        return empty_finding("the turns do not show r κ/B", "rad/m")
+    if gain.value is None:
+        return empty_finding(gain.reason, "rad/m")
     turned, distances = np.empty(0), np.empty(0)
     for recording in recordings:
         edges = _edges_with_gyro(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
         if len(edges):
             t = recording.sprockets.t
             distances = np.append(distances, radius * np.diff(np.interp(edges, t, recording.mean_angle)))
-            steered = gain * np.diff(np.interp(edges, t, recording.angle_difference))
+            steered = gain.value * np.diff(np.interp(edges, t, recording.angle_difference))
             turned = np.append(turned, np.diff(gyro.headings(recording, edges)) - steered)
     distance = float(np.abs(distances).sum())
     is_enough, numbers = distance >= LEAST_DISTANCE, np.arange(len(turned))
