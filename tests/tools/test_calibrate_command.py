@@ -64,3 +64,11 @@ def test_replay_accepts_the_calibration_file(found: dict[str, Any], tmp_path: Pa
 )
 def test_bad_input_is_one_line(options: list[str], word: str, refuse: Callable[..., str]) -> None:
     assert word in refuse("calibrate", *options)
+
+
+def test_bags_of_two_machines_are_not_calibrated_together(refuse: Callable[..., str]) -> None:
+    """Their biases and delays would be averaged, and the second would be taken for one with wrong units."""
+    line = refuse("calibrate", BAGS / "outage_sandy_loam", BAGS / "example")
+    assert "excavator_20t" in line
+    assert "pc05" in line
+    assert "--vehicle" in line

@@ -214,8 +214,8 @@ def test_reason_without_a_sensor_names_the_sensor() -> None:
         "fixes": ("effective_rolling_radius", "rolling_radius", "common_slip"),
         "hydraulics": ("left_pressure_offset",),
     }
-    for sensor, recording in parts.items():
-        findings = calibrate([recording], P, SOURCES).findings
+    for sensor, part in parts.items():
+        findings = calibrate([part], P, SOURCES).findings
         assert all(f"no {sensor} in the bags" in findings[name].reason for name in names[sensor]), sensor
 
 

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 from trackslip_bags.input_filters import relative_name
+from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import Bag, open_bag, require_topics
-from trackslip_common.errors import ExitCode, show
+from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import FILE_PREFIX, summary, text, write_parameters
@@ -56,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         for path in args.bags:
             with open_bag(path, args.namespace) as bag:
                 replay_options.note_damage(bag)
+                if args.vehicle is None:
+                    _refuse_other_vehicle(bag, args.bags[0], p.vehicle.name)
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
                 advance_bag = scale_progress(advance, bag.duration_s)
                 reader = RecordingReader(bag, gyro, poses, compass)
@@ -81,6 +84,16 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, summary(result, names))
     has_values = any(finding.has_value for finding in result.findings.values())
     return ExitCode.DONE if has_values else ExitCode.FAILED
+
+
+def _refuse_other_vehicle(bag: Bag, first: Path, name: str) -> None:
+    """Raise InputError if a bag names another vehicle than the first bag's."""
+    vehicle = bag_vehicle(bag)
+    if vehicle is not None and vehicle.name != name:
+        accepted = "bags of one machine, or --vehicle, if it is the same"
+        raise InputError(
+            f"bag '{bag.path}' is of vehicle {vehicle.name}, '{first}' of {name}; accepted: {accepted}"
+        )
 
 
 def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
