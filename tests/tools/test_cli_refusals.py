@@ -48,6 +48,7 @@ BagOf = Callable[..., Path]
         ("--reference imu/data_raw", "imu/data_raw: it is a sensor_msgs/msg/Imu; accepted: geometry_msgs"),
         ("--start 5 --stop 5", "accepted: start before stop"),
         ("--stop 1e300", "at most 1e+09 s"),
+        ("--start 1000", "accepted: at most that"),
         ("--start soon", "invalid float value: 'soon'"),
         ("--seed -1", "accepted: a whole number >= 0"),
         ("--params no_such.yaml", "file 'no_such.yaml' not found"),

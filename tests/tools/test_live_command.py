@@ -38,6 +38,8 @@ BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
             [str(BAG), "--host", "no.such.host.invalid"], "no.such.host.invalid", marks=pytest.mark.slow
         ),
         ([str(BAG), "--rate", "0"], "'0'"),
+        ([str(BAG), "--start", "1000"], "ends after"),
+        ([str(BAG), "--start", "nan"], "start before stop"),
         (["--rate", "2"], "BAG"),
         (["--vehicle", "pc05"], "--vehicle"),
         ([str(BAG), "--vehicle", "nobody"], "nobody"),

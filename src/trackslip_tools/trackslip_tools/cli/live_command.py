@@ -52,16 +52,19 @@ def run(args: argparse.Namespace) -> int:
         for one in open_sockets(p.host, p.port):
             one.close()
         with open_bag(args.bag, args.namespace) as bag:
+            filters = replay_options.ReplayOptions(start=args.start or 0.0).filters(bag)
             setup = replay_options.check_setup(bag, args.vehicle) or Result()
             with bag_with_estimates(bag, args.vehicle) as whole:
-                return _serve(whole, p, args, setup)
+                return _serve(whole, p, args, filters, setup)
     if any(option is not None for option in (args.rate, args.start, args.vehicle)):
         raise InputError("--rate, --start, --vehicle: accepted only together with a BAG")
     namespace = ("-r", f"__ns:=/{args.namespace.strip('/')}") if args.namespace else ()
     return run_node("trackslip_tools.nodes.live", "live", options, *namespace)
 
 
-def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result) -> int:
+def _serve(
+    bag: Bag, p: LiveParameters, args: argparse.Namespace, filters: InputFilters, setup: Result
+) -> int:
     from trackslip_bags.parameters import bag_vehicle
     from trackslip_common.vehicle_files import load_vehicle
     from trackslip_tools.live.bag import BagFeed
@@ -75,7 +78,7 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result)
     state = LiveState(f"{name} at {rate:g} × real time", vehicle, keeps_vehicle=named is not None)
     if not setup.is_plausible:
         state.set_setup(setup.headline)
-    feed = BagFeed(bag, state, rate, InputFilters(start_s=args.start or 0.0))
+    feed = BagFeed(bag, state, rate, filters)
     server = PageServer(page_files(f"Trackslip: {name}"), state.full_state, p)
     server.start()
     try:

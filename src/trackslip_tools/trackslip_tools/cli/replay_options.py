@@ -57,15 +57,18 @@ class ReplayOptions:
     params: Sequence[str] = ()  # parameter files
     set: Sequence[str] = ()  # node.parameter=value
 
-    def filters(self) -> InputFilters:
+    def filters(self, bag: Bag | None = None) -> InputFilters:
         """The input filters of these options.
 
         Raises:
-            InputError: an option has another form, or a value out of range.
+            InputError: an option has another form, or a value out of range, or the bag ends before ``start``.
         """
         if not -_MAX_TIME_S <= self.start < self.stop or _MAX_TIME_S < self.stop < math.inf:
             accepted = f"start before stop, both at most {_MAX_TIME_S:g} s"
             raise InputError(f"--start {self.start:g} --stop {self.stop:g}: accepted: {accepted}")
+        if bag is not None and self.start > bag.duration_s:
+            ends = f"bag '{bag.path}' ends after {bag.duration_s:.1f} s"
+            raise InputError(f"--start {self.start:g}: {ends}; accepted: at most that")
         return InputFilters(
             start_s=self.start,
             stop_s=self.stop,
@@ -229,7 +232,7 @@ def read_settings(
     Raises:
         InputError: a file, a name or a value is rejected, or an option names an unknown topic.
     """
-    filters, reference = options.filters(), relative_name(options.reference or "") or None
+    filters, reference = options.filters(bag), relative_name(options.reference or "") or None
     p = parameters_of(bag, options.params, options.set, options.vehicle)
     _require_named_topics(bag, p, filters, reference)
     return p, filters, reference
