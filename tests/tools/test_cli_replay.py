@@ -20,7 +20,9 @@ from trackslip_bags.types import typestore
 from trackslip_common.errors import ExitCode
 from trackslip_common.topics import TOPICS
 from trackslip_sim.demo.command import run_commands
+from trackslip_tools.cli.main import main
 
+BagOf = Callable[..., Path]
 Summary = Callable[..., dict[str, Any]]
 
 ESTIMATES = ("odometry", "odometry/local", "track_slip", "machine_state")
@@ -98,12 +100,29 @@ def test_a_window_cuts_by_log_time(bag: Path, summary: Summary) -> None:
     assert result["duration_s"] == pytest.approx(3.0, abs=0.35)
 
 
-def test_window_beyond_the_bag_has_no_estimate(
+def test_window_before_the_bag_has_no_estimate(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result = summary(bag, "--start", "1000", code=ExitCode.FAILED)
+    result = summary(bag, "--start", "-2", "--stop", "-1", code=ExitCode.FAILED)
     assert (result["final"], result["messages"], result["nees"], result["learned"]) == (None, {}, None, None)
     assert "no estimate" in capsys.readouterr().out
+
+
+def test_next_command_for_a_bag_without_fixes_gives_an_estimate(
+    lines: list[Any], bag_of: BagOf, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Check, replay and check named each other, and none the setting without which nothing starts."""
+    path = bag_of([line for line in lines if line.topic not in ("box_pose", "reference_pose")])
+    assert main(["check", str(path)]) == ExitCode.DONE
+    *_, last = capsys.readouterr().out.splitlines()
+    setting = ["--set", "slip_estimator.start=initial_pose"]
+    assert last == " ".join(["next: trackslip replay", str(path), *setting])
+    for command in ("replay", "smooth"):
+        assert main([command, str(path)]) == ExitCode.FAILED
+        output = " ".join(capsys.readouterr().out.split())
+        assert " ".join(setting) in output
+        assert "next: trackslip check" not in output
+        assert main([command, str(path), *setting]) == ExitCode.DONE
 
 
 def test_withheld_messages_are_counted_and_scored_and_not_used(

@@ -11,6 +11,7 @@ from trackslip_tools.check.bag import check_bag, remedy_settings, setup_report
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import progress_bar
+from trackslip_tools.replay.no_estimate import start_setting
 
 EXAMPLE = "trackslip check out/demo/bag --json check.json"
 
@@ -33,11 +34,12 @@ def run(args: argparse.Namespace) -> int:
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         with progress_bar(bag.duration_s, "checking") as advance:
             result = check_bag(bag, p, advance=advance)
+        settings = [*remedy_settings(result), *filter(None, [start_setting(bag, p)])]
     show(setup_report(result))
     if args.json is not None:
         write_json(args.json, result.as_dict())
     elif result.is_plausible or remedy_settings(result):
-        remedies = [word for setting in remedy_settings(result) for word in ("--set", setting)]
+        remedies = [word for setting in settings for word in ("--set", setting)]
         words = [str(args.bag), *shared_options.next_command_options(args), *remedies]
         show(f"next: trackslip replay {shlex.join(words)}")
     return ExitCode.DONE if result.is_plausible else ExitCode.FAILED

@@ -11,16 +11,17 @@ from typing import Any
 from trackslip_bags.importing.first_mapping import first_mapping
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.reader import open_bag
+from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.atomic_files import write_atomically
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
-from trackslip_common.errors import ExitCode, InputError, show
+from trackslip_common.errors import ExitCode, InputError, collect_output, show
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import progress_bar
+from trackslip_tools.replay.no_estimate import start_setting
 from trackslip_tools.terminal_text import wrap_line
 
 _VEHICLE = "excavator_20t"
@@ -62,12 +63,22 @@ def run(args: argparse.Namespace) -> int:
     with open_bag(args.output) as bag:
         setup = replay_options.check_setup(bag)
         show(describe(bag))
+        next_words = _next_words(bag, is_plausible=setup is None or setup.is_plausible)
     for line in _notes(imported):
         show(line)
     for line in setup.facts if setup is not None else ():
         show(wrap_line(line))
-    show(f"next: trackslip {'replay' if setup is None or setup.is_plausible else 'check'} {args.output}")
+    show(f"next: trackslip {shlex.join(next_words)}")
     return ExitCode.DONE
+
+
+def _next_words(bag: Bag, *, is_plausible: bool) -> list[str]:
+    """The next command for a new bag: a replay that can start, or the check of a setup with a mistake."""
+    if not is_plausible:
+        return ["check", str(bag.path)]
+    with collect_output():  # the vehicle is printed before
+        setting = start_setting(bag, replay_options.parameters_of(bag))
+    return ["replay", str(bag.path), *(("--set", setting) if setting else ())]
 
 
 def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | None) -> int:

@@ -58,20 +58,24 @@ def run(args: argparse.Namespace) -> int:
         show(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waiting_time_s()))
-    has_failed = result.has_failed(force=args.force)
-    if args.output is None and args.json is None:
-        show(_next_command(args, has_failed=has_failed))
-    return ExitCode.FAILED if has_failed else ExitCode.DONE
+    if args.output is None and args.json is None and (command := _next_command(args, result)):
+        show(f"next: trackslip {command}")
+    return ExitCode.FAILED if result.has_failed(force=args.force) else ExitCode.DONE
 
 
-def _next_command(args: argparse.Namespace, *, has_failed: bool) -> str:
-    """The suggested next command; reports take one parameter file per run, because they compare several."""
-    if len(args.params) > 1 and not has_failed:
-        bag = shlex.quote(str(args.bags[0]))
-        return f"next: trackslip report {bag}, with --params as one file: it compares several"
-    command, output = ("check", []) if has_failed else ("report", ["--output", f"{args.bags[0].stem}.html"])
-    words = [command, str(args.bags[0]), *shared_options.next_command_options(args), *output]
-    return f"next: trackslip {shlex.join(words)}"
+def _next_command(args: argparse.Namespace, result: Replay) -> str:
+    """The suggested next command; empty where the reason for no estimate has the remedy.
+
+    Reports take one parameter file per run, because they compare several.
+    """
+    words = [str(args.bags[0]), *shared_options.next_command_options(args)]
+    if not (result.setup.is_plausible or args.force):
+        return shlex.join(["check", *words])
+    if result.no_estimate:
+        return ""
+    if len(args.params) > 1:
+        return f"report {shlex.quote(str(args.bags[0]))}, with --params as one file: it compares several"
+    return shlex.join(["report", *words, "--output", f"{args.bags[0].stem}.html"])
 
 
 def _replay_bag(bag: Bag, args: argparse.Namespace, *watches: Watch) -> Replay:

@@ -3,6 +3,7 @@
 """``trackslip smooth``: smoothed estimates of a bag, each from the measurements before and after it."""
 
 import argparse
+import shlex
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -14,6 +15,7 @@ from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.elapsed import waiting_time_s
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import progress_bar
+from trackslip_tools.replay.no_estimate import start_setting
 from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
 from trackslip_tools.smoothing.smoothing import Smoothed
 
@@ -42,7 +44,11 @@ def run(args: argparse.Namespace) -> int:
         written = SmoothedWriter(args.output, p) if args.output else nullcontext()
         with written as writer, progress_bar(bag.duration_s, "smoothing") as advance:
             result = smooth_bag(bag, p, filters, reference, _watch(writer, advance))
+        setting = start_setting(bag, p)
     show(result.text(waiting_time_s()))
+    if setting:
+        words = [str(args.bag), *shared_options.next_command_options(args), "--set", setting]
+        show(f"next: trackslip smooth {shlex.join(words)}")
     if args.output is not None:
         show(f"smoothed: {args.output}")
     if args.json is not None:

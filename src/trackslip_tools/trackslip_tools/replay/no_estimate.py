@@ -4,7 +4,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from trackslip_bags.importing.bag_readings import READERS
@@ -22,6 +22,7 @@ from trackslip_tools.replay.inputs import SPROCKETS
 
 _WAITING = Outcome.WAITING.name.lower()
 _FIXES_OF_OTHER_TYPES = ("fix", "tf")
+_INITIAL_POSE = "slip_estimator.start=initial_pose"
 _NOT_FIXES = ("reference_pose",)  # poses that are no source by default
 
 
@@ -59,12 +60,11 @@ def explain_missing_estimate(
     active = [
         source for source in (*sources, SET_POSE) if processed.input_counts[source] or source in rejected
     ]
-    if not sources:
-        return f"no fix came: pose_sources names none{_other_pose_topics(bag, filters, sources)}"
     if not active:
         hidden = {edit.topic for edit in filters.withhold} & set(sources)
-        why = f"{', '.join(sorted(hidden))} is withheld" if hidden else f"nothing on {', '.join(sources)}"
-        return f"no fix came: {why}{_other_pose_topics(bag, filters, sources)}"
+        why = f"nothing on {', '.join(sources)}" if sources else "pose_sources names none"
+        why = f"{', '.join(sorted(hidden))} is withheld" if hidden else why
+        return f"no fix came: {why}; {_other_start(bag, filters, sources)}"
     if _are_all_rejected(processed, active):
         return f"every fix was rejected ({_rejection_reasons(processed, active)})"
     return "no sprockets after the first fix"
@@ -91,22 +91,45 @@ def _rejection_reasons(processed: ProcessingCounts, sources: Iterable[str]) -> s
     )
 
 
-def _other_pose_topics(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
-    """Other topics of the bag that could be a pose source, and the option that names one."""
-    pose = TOPICS["box_pose"].type_name
-    types = {
+def start_setting(bag: Bag, p: SlipEstimatorParameters) -> str:
+    """The setting with which a bag without fixes of its pose sources can start; empty where it has fixes."""
+    names = {relative_name(topic) for topic, info in bag.topics.items() if info.count}
+    if p.start != "first_fix" or names & {*p.pose_sources, SET_POSE}:
+        return ""
+    return _pose_source_setting(_other_poses(_types(bag, InputFilters()), p.pose_sources)) or _INITIAL_POSE
+
+
+def _other_start(bag: Bag, filters: InputFilters, sources: Collection[str]) -> str:
+    """Other topics of the bag that could be a pose source, and the option with which a replay starts."""
+    types = _types(bag, filters)
+    others = _other_poses(types, sources)
+    if others:
+        return f"the bag has {', '.join(others)} (--set {_pose_source_setting(others)})"
+    foreign = [name for name, kind in types.items() if _is_convertible(name, kind)]
+    of_import = (
+        f"trackslip import makes fixes of {joined_names(foreign)} (docs/import.md); " if foreign else ""
+    )
+    return f"{of_import}--set {_INITIAL_POSE} follows tracks and gyro from 0, 0 without fixes"
+
+
+def _types(bag: Bag, filters: InputFilters) -> dict[str, str]:
+    """Type of each topic with messages, by its name after the filters' remapping."""
+    return {
         filters.remap.get(relative_name(topic), relative_name(topic)): info.type_name
         for topic, info in sorted(bag.topics.items())
         if info.count
     }
-    others = [name for name, kind in types.items() if kind == pose and name not in (*sources, SET_POSE)]
-    if not others:
-        foreign = [name for name, kind in types.items() if _is_convertible(name, kind)]
-        return (
-            f"; trackslip import makes fixes of {joined_names(foreign)} (docs/import.md)" if foreign else ""
-        )
-    first = next((name for name in others if name not in _NOT_FIXES), others[0])
-    return f"; the bag has {', '.join(others)} (--set slip_estimator.pose_sources=[{first}])"
+
+
+def _other_poses(types: Mapping[str, str], sources: Collection[str]) -> list[str]:
+    pose = TOPICS["box_pose"].type_name
+    return [name for name, kind in types.items() if kind == pose and name not in (*sources, SET_POSE)]
+
+
+def _pose_source_setting(others: Sequence[str]) -> str:
+    """The setting that makes the first of other poses a source; empty without any."""
+    first = next((name for name in others if name not in _NOT_FIXES), next(iter(others), ""))
+    return f"slip_estimator.pose_sources=[{first}]" if first else ""
 
 
 def _is_convertible(name: str, type_name: str) -> bool:
