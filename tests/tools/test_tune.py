@@ -75,6 +75,15 @@ def test_command_writes_parameters_and_evidence(
     assert (out / "evidence.json").read_text() == before
 
 
+@pytest.mark.slow
+def test_tuning_with_the_wrong_vehicle_fails(
+    emulated_bag: Path, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert tune(emulated_bag, plan, out, "--vehicle", "excavator_20t", "--stop", "40") == ExitCode.FAILED
+    assert "correct it (trackslip check)" in " ".join(capsys.readouterr().out.split())
+
+
 def test_ctrl_c_leaves_the_journal(
     emulated_bag: Path, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +108,7 @@ def test_ctrl_c_leaves_the_journal(
         (("--reference", "nothing"), "nothing"),
         (("--plan", "nothing.yaml"), "file 'nothing.yaml' not found"),
         (("--withhold", "box_pose"), "to start from"),
+        (("--stop", "3"), "the tracks do not move"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(

@@ -170,6 +170,21 @@ def test_tuning_that_changes_nothing_is_no_improvement(tmp_path: Path) -> None:
     assert "Bags are not better off on average." in evidence_table(one_bag)
 
 
+def test_tuning_without_a_left_out_bag_does_not_claim_to_improve_others(tmp_path: Path) -> None:
+    one_bag = replace(tuning_of(tmp_path, [0.2], []), after=[score_at(0.1)])
+    assert numbers(one_bag)["improves_unseen"] is None
+    assert "No bag was left out" in evidence_table(one_bag)
+    write_evidence(tmp_path / "out", one_bag, load_slip_parameters())
+    assert "No bag was left out" in (tmp_path / "out" / PARAMETERS).read_text()
+
+
+def test_tuning_on_a_mistake_of_the_setup_names_its_bag(tmp_path: Path) -> None:
+    assert (
+        "mistake of the setup in bag0: correct it"
+        in replace(tuning_of(tmp_path, [0.1, 0.4], [Fold(1, {}, score_at(0.2))]), mistaken=("bag0",)).verdict
+    )
+
+
 def test_score_of_a_left_out_bag_is_compared_with_that_of_the_same_bag(tmp_path: Path) -> None:
     assert tuning_of(tmp_path, [0.1, 0.4], [Fold(1, {}, score_at(0.2))]).improves_unseen
 

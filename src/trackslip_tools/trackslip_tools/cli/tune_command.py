@@ -5,12 +5,13 @@
 import argparse
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
-from trackslip_common.errors import ExitCode, show
+from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_tools.check.bag import check_bag, setup_summary
 from trackslip_tools.cli import replay_options, shared_options, worker_options
 from trackslip_tools.cli.elapsed import waiting_time_s
@@ -60,9 +61,11 @@ def run(args: argparse.Namespace) -> int:
         refuse_foreign_file("output", args.output / name, beginning)
     bags = find_bags(args.bags)
     needs_reference = plan.settings.objective != LIKELIHOOD
-    tasks = [
-        _load_task(bag, args, needs_reference=needs_reference) for bag in iterate_with_bar(bags, "reading")
-    ]
+    tasks, mistaken = [], []
+    for bag in iterate_with_bar(bags, "reading"):
+        task, is_plausible = _load_task(bag, args, needs_reference=needs_reference)
+        tasks.append(task)
+        mistaken += [] if is_plausible else [task.name]
     cross_validate = not args.no_cross_validation and len(tasks) > 1
     sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
@@ -73,19 +76,23 @@ def run(args: argparse.Namespace) -> int:
             show(f"note: {note} with those of these bags and parameters", file=sys.stderr)
         advance = stack.enter_context(progress_bar(sets, "tuning"))
         tuner = Tuner(plan, tasks, partial(map_items, score_of), journal, advance)
-        tuning = tuner.run(cross_validate)
+        tuning = replace(tuner.run(cross_validate), mistaken=tuple(mistaken))
     write_evidence(args.output, tuning, tasks[0].p)
     write_json(args.output / NUMBERS, numbers(tuning))
     show(format_for_terminal(table(tuning)))
     show(f"\ntuned in {waiting_time_s():.1f} s")
     show(f"parameters: {args.output / PARAMETERS}")
-    return ExitCode.DONE if tuning.improves_unseen else ExitCode.FAILED
+    return ExitCode.DONE if tuning.improves_unseen and not mistaken else ExitCode.FAILED
 
 
-def _load_task(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
+def _load_task(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> tuple[Task, bool]:
+    """A bag's task, and whether its setup is plausible."""
     with open_bag(path, args.namespace) as bag:
         replay_options.note_damage(bag)
         p, filters, reference = replay_options.read_settings(bag, replay_options.options_of(args))
         setup = check_bag(bag, p, filters)
         show(("" if setup.is_plausible else f"{path}: ") + setup_summary(setup), file=sys.stderr)
-        return read_task(bag, p, filters, reference, needs_reference=needs_reference)
+        if not setup.facts:
+            raise InputError(f"bag '{path}': the tracks do not move, or have no speeds; accepted: drives")
+        task = read_task(bag, p, filters, reference, needs_reference=needs_reference)
+        return task, setup.is_plausible

@@ -41,6 +41,7 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     tuned_values = {name: values[name] for name in names}
     bags = ", ".join(printable(bag, len(bag)) for bag in tuning.bags)
     text = f"{FILE_PREFIXES[PARAMETERS]} on {bags}; what it rests on is in {TABLE}.\n"
+    text += f"# {printable(tuning.verdict, len(tuning.verdict))}\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": unflatten(tuned_values)}}, sort_keys=False)
     make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
@@ -60,7 +61,8 @@ def numbers(tuning: Tuning) -> dict[str, Any]:
             {"bag": tuning.bags[fold.bag], "values": fold.values, "score": fold.score._asdict()}
             for fold in tuning.folds
         ],
-        "improves_unseen": tuning.improves_unseen,
+        "improves_unseen": tuning.improves_unseen if tuning.folds else None,
+        "verdict": tuning.verdict,
     }
 
 
@@ -86,9 +88,7 @@ def table(tuning: Tuning) -> str:
     )
     if tuning.folds:
         notes += " Unseen: with the values found on the other bags alone, whose range the first table gives."
-    bags = "Bags that were left out" if tuning.folds else "Bags"
-    negation = "" if tuning.improves_unseen else "not "
-    notes += f"\n\n{bags} are {negation}better off on average."
+    notes += f"\n\n{tuning.verdict}"
     first = markdown_table(["parameter", "before", "after", "without one bag"], values, 1)
     return "\n".join([*first, "", *markdown_table(heading, rows, 2), "", notes])
 

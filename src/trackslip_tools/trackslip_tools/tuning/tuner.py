@@ -42,6 +42,7 @@ class Tuning:
     before: list[Score]  # of each bag
     after: list[Score]
     folds: list[Fold]  # empty with one bag or without cross-validation
+    mistaken: tuple[str, ...] = ()  # bags whose setup check found a mistake
 
     @property
     def improves_unseen(self) -> bool:
@@ -52,6 +53,23 @@ class Tuning:
             cost(objective, score) - cost(objective, self.before[bag]) for bag, score in scores.items()
         ]
         return sum(changes) < 0.0
+
+    @property
+    def verdict(self) -> str:
+        """What the values are worth, in sentences."""
+        bags = "Bags that were left out" if self.folds else "Bags"
+        sentences = [f"{bags} are {'' if self.improves_unseen else 'not '}better off on average."]
+        if self.improves_unseen and not self.folds:
+            sentences.append(
+                "No bag was left out: the values may fit these bags alone. Tune on several drives, or replay "
+                "another one with --params before they are used."
+            )
+        if self.mistaken:
+            names = ", ".join(self.mistaken)
+            sentences.append(
+                f"The values fit a mistake of the setup in {names}: correct it (trackslip check)."
+            )
+        return " ".join(sentences)
 
 
 class Tuner:
