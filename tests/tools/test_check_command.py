@@ -223,6 +223,21 @@ def test_a_drive_on_both_sides_of_a_clock_that_is_set_forward_is_checked(
     assert (stop_s, start_s) == pytest.approx((seconds, seconds + step_s), abs=0.2)
 
 
+@pytest.mark.parametrize(("topic", "numbers"), [("/sprockets", {50}), ("/gnss_pose", set(range(20)))])
+@pytest.mark.parametrize("days", [30, 1024 * 7])
+def test_stray_stamps_leave_the_check_as_it_is(
+    healthy: Path, tmp_path: Path, topic: str, numbers: set[int], days: int
+) -> None:
+    """A corrupt stamp, or a receiver before it has its date: the check ran out of memory or divided by zero."""
+
+    def change(number: int, message: Any) -> Any:
+        message.header.stamp.sec += days * 86_400 * (number in numbers)
+        return message
+
+    result = json_of(tmp_path, "check", write_changed(tmp_path / "bag", healthy, topic, change))
+    assert (result["plausible"], result["causes"]) == (True, [])
+
+
 def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:
     with open_bag(healthy) as bag:
         messages = list(bag.messages())

@@ -22,7 +22,8 @@ from trackslip_estimation.soil.records import HYDRAULICS
 _UNMEASURED_HEADING_VARIANCE = 0.3**2  # rad², variance from which a heading counts as unmeasured
 _UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
 _LARGEST_VALUE = 1e12  # magnitude of any valid number
-_OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from the median stamp of a source
+_OTHER_CLOCK = 86_400 * 1_000_000_000  # ns from the median stamp of a source, with
+_SPREADS = 10  # times its interquartile range: a log may have another unit of time
 _PAUSE_NS = 3600 * 1_000_000_000  # without any measurement, from which time is taken out
 _LEAST_SAMPLES = 10  # of the sprockets before and after a pause; fewer have stray stamps
 _KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
@@ -197,13 +198,19 @@ def _valid_readings(
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         is_valid = (np.abs(needed) < _LARGEST_VALUE).all(axis=1)
-    is_valid &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
+    is_valid &= _is_on_clock_of_most(stamps)
     stamps, values = stamps[is_valid], values[is_valid]
     t, first = np.unique((stamps - start_ns) * 1e-9, return_index=True)
     order = np.argsort(stamps, kind="stable")
     same = np.diff(values[order], axis=0) == 0.0
     is_copy = (np.diff(stamps[order]) == 0) & (same | np.isnan(values[order][1:])).all(axis=1)
     return t, values[first], len(stamps) - int(is_copy.sum())
+
+
+def _is_on_clock_of_most(stamps: NDArray[np.int64]) -> BoolArray:
+    """(n,) whether stamps are near their median: one of another decade would stretch the whole log."""
+    low, median, high = np.quantile(stamps.astype(np.float64), (0.25, 0.5, 0.75))
+    return np.asarray(np.abs(stamps - median) < max(_OTHER_CLOCK, _SPREADS * (high - low)))
 
 
 def _make_log(
