@@ -253,7 +253,8 @@ def test_missing_dates_are_noted_as_rows_without_time() -> None:
         ({"gz": np.zeros(59)}, "column 'gz' has 59 rows, 't' 60"),
         ({"gz": np.zeros(60, complex)}, "column 'gz' holds complex128"),
         ({"t": np.arange(60).astype("timedelta64[ms]")}, r"holds timedelta64.* as of .dt.total_seconds\(\)"),
-        ({"t": np.arange(60)[::-1].copy()}, "column 't' goes back"),
+        ({"t": np.arange(60)[::-1].copy()}, "^frame: row 1, column 't' goes back"),
+        ({"gz": np.append(np.inf, np.zeros(59))}, "^frame: row 0, column 'gz': 'inf' is not accepted"),
     ],
 )
 def test_unusable_columns_are_named(change: dict[str, Any], sentence: str) -> None:
@@ -292,6 +293,15 @@ def test_times_may_be_the_index_of_a_frame(short_result: ts.Result) -> None:
     del columns["t"]
     again = estimator().run(IndexedFrame(columns))
     assert np.array_equal(again.estimates.pose, short_result.estimates.pose)
+
+
+def test_index_of_dates_without_a_name_is_named_with_its_remedy() -> None:
+    columns = drive(3.0)
+    del columns["t"]
+    frame = IndexedFrame(columns)
+    frame.index = type("DatetimeIndex", (), {"names": [None]})()
+    with pytest.raises(ts.InputError, match=r"no column 't'.*frame.rename_axis\('t'\)"):
+        estimator().run(frame)
 
 
 def test_names_of_columns_are_free(short_result: ts.Result) -> None:

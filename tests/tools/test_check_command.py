@@ -228,7 +228,7 @@ def test_a_drive_on_both_sides_of_a_clock_that_is_set_forward_is_checked(
 def test_stray_stamps_leave_the_check_as_it_is(
     healthy: Path, tmp_path: Path, topic: str, numbers: set[int], days: int
 ) -> None:
-    """A corrupt stamp, or a receiver before it has its date: the check ran out of memory or divided by zero."""
+    """A corrupt stamp, or a receiver before it has its date: the check ended in a traceback."""
 
     def change(number: int, message: Any) -> Any:
         message.header.stamp.sec += days * 86_400 * (number in numbers)

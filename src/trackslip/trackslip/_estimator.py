@@ -3,6 +3,7 @@
 """Runs the estimators over columns, by an import and a replay in a temporary directory."""
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -117,7 +118,13 @@ class Estimator:
                         notes += _import_notes(imported)
                         return replay_open_bag(opened, ReplayOptions(), notes, datum=imported.datum)
                 except InputError as error:
-                    raise InputError(str(error).replace(f"{folder}/", "")) from error
+                    raise InputError(_in_words_of_frame(str(error).replace(f"{folder}/", ""))) from error
+
+
+def _in_words_of_frame(text: str) -> str:
+    """An error of the import with the row of the frame, from 0, instead of the line of its table of text."""
+    text = re.sub(r"frame\.csv: line (\d+)", lambda line: f"frame: row {int(line[1]) - 1}", text)
+    return text.replace("frame.csv", "frame")
 
 
 def _refuse_forked_process() -> None:
@@ -194,7 +201,10 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
     columns: dict[str, NDArray[Any]] = {}
     for name in names:
         if name not in keys:
-            raise InputError(f"frame: no column '{name}'{suggestion(name, list(keys))}")
+            index: Any = getattr(frame, "index", None)  # of pandas
+            has_unnamed_dates = type(index).__name__ == "DatetimeIndex" and list(index.names) == [None]
+            hint = f"; if it is the index: frame.rename_axis('{name}')" if has_unnamed_dates else ""
+            raise InputError(f"frame: no column '{name}'{suggestion(name, list(keys))}{hint}")
         columns[name] = _cells(name, frame[keys[name]])
         if len(columns[name]) != len(columns[names[0]]):
             lengths = f"column '{name}' has {len(columns[name])} rows, '{names[0]}' {len(columns[names[0]])}"
