@@ -52,13 +52,13 @@ def run(args: argparse.Namespace) -> int:
         p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _source_topics(args, bag, p)
         compass = next(iter(p.compasses().items()), None)
+    if args.vehicle is None:
+        _refuse_other_vehicles(args, p.vehicle.name)
     recordings, setups = [], []
     with progress_bar(len(args.bags), "reading") as advance:
         for path in args.bags:
             with open_bag(path, args.namespace) as bag:
                 replay_options.note_damage(bag)
-                if args.vehicle is None:
-                    _refuse_other_vehicle(bag, args.bags[0], p.vehicle.name)
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
                 advance_bag = scale_progress(advance, bag.duration_s)
                 reader = RecordingReader(bag, gyro, poses, compass)
@@ -86,14 +86,15 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if has_values else ExitCode.FAILED
 
 
-def _refuse_other_vehicle(bag: Bag, first: Path, name: str) -> None:
+def _refuse_other_vehicles(args: argparse.Namespace, name: str) -> None:
     """Raise InputError if a bag names another vehicle than the first bag's."""
-    vehicle = bag_vehicle(bag)
-    if vehicle is not None and vehicle.name != name:
-        accepted = "bags of one machine, or --vehicle, if it is the same"
-        raise InputError(
-            f"bag '{bag.path}' is of vehicle {vehicle.name}, '{first}' of {name}; accepted: {accepted}"
-        )
+    for path in args.bags[1:]:
+        with open_bag(path, args.namespace) as bag:
+            vehicle = bag_vehicle(bag)
+        if vehicle is not None and vehicle.name != name:
+            accepted = "bags of one machine, or --vehicle, if it is the same"
+            others = f"'{args.bags[0]}' of {name}"
+            raise InputError(f"bag '{path}' is of vehicle {vehicle.name}, {others}; accepted: {accepted}")
 
 
 def _source_topics(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
