@@ -16,6 +16,7 @@ from fixtures.commands import json_of
 from fixtures.made_bags import write_changed, write_messages
 from fixtures.setup_drives import PROGRAMME, make_drive
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
@@ -24,6 +25,9 @@ from trackslip_common.errors import ExitCode
 from trackslip_estimation.setup_check.log import Log
 from trackslip_tools.cli import shared_options
 from trackslip_tools.cli.main import main
+from trackslip_tools.cli.replay_options import parameters_of
+from trackslip_tools.replay.result import Replay
+from trackslip_tools.replay.run import replay
 
 MAPPING = """\
 time: {column: t, unit: s}
@@ -236,6 +240,26 @@ def test_stray_stamps_leave_the_check_as_it_is(
 
     result = json_of(tmp_path, "check", write_changed(tmp_path / "bag", healthy, topic, change))
     assert (result["plausible"], result["causes"]) == (True, [])
+
+
+@pytest.mark.parametrize(("topic", "number"), [("/sprockets", 0), ("/sprockets", 50), ("/gnss_pose", 20)])
+def test_a_stray_stamp_does_not_lengthen_a_replay(
+    healthy: Path, tmp_path: Path, topic: str, number: int
+) -> None:
+    def change(count: int, message: Any) -> Any:
+        message.header.stamp.sec += 1024 * 7 * 86_400 * (count == number)
+        return message
+
+    path = write_changed(tmp_path / "bag", healthy, topic, change)
+    expected, result = (replayed(one) for one in (healthy, path))
+    assert result.duration_s == expected.duration_s
+    assert np.ptp(result.longest_gap) < 1.0
+    assert abs(result.stamp_origin_ns - expected.stamp_origin_ns) < 10**9
+
+
+def replayed(path: Path) -> Replay:
+    with open_bag(path) as bag:
+        return replay(bag, parameters_of(bag), InputFilters(), None)
 
 
 def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:

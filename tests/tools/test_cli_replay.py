@@ -44,7 +44,7 @@ def test_the_summary_has_the_keys_of_the_contract(bag: Path, summary: Summary) -
     assert result["rmse"].keys() >= {"dead_reckoning", "encoder_gyro", "filter", "heading"}
     counts = {"sprockets": 501, "imu/data_raw": 100, "box_pose": 51, "reference_pose": 501}
     assert result["messages"] == counts
-    assert result["duration_s"] == pytest.approx(10.0)
+    assert result["duration_s"] == pytest.approx(10.0, abs=0.35)
     assert result["real_time_factor"] > 0.0
     assert result["reference"] == "reference_pose"
     assert set(result["rejected"]) <= {"sprockets", "imu/data_raw", "box_pose"}

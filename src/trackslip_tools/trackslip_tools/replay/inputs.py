@@ -13,6 +13,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,6 +66,7 @@ from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 
 _OTHER_CLOCK_NS = 60_000_000_000  # between stamps and log times of one clock, at most
+_FIRST_MESSAGES = 9  # of the sprockets: a single stamp may be stray
 _ADJACENT_NS = 500_000_000  # between two spans: a slow topic has no message at their border
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # the bag holds only their lines in the journal
 
@@ -135,7 +137,7 @@ class InputStream:
 
     @property
     def duration_s(self) -> float:
-        """Time between the first and last stamps of the measurements read so far, s."""
+        """Time between the first and last measurements read so far, s, by log time: stamps may be stray."""
         return max(self._last_ns - self._first_ns, 0) * 1e-9
 
     def __iter__(self) -> Iterator[Batch]:
@@ -208,7 +210,7 @@ class InputStream:
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
                 is_usable = self._has_required_frame(name, table)
                 is_usable &= self._has_measurement(name, reader, read, is_usable)
-                self._extend_duration(rows["stamp_ns"][is_usable], name)
+                self._extend_duration(table.log_times_ns)
                 if name == SPROCKETS:
                     self._extend_longest_pause(table.log_times_ns)
                 parts.append(rows[is_usable])
@@ -257,10 +259,10 @@ class InputStream:
         if longest is None or times[k + 1] - times[k] > longest.end_ns - longest.begin_ns:
             self.longest_pause = Span(int(times[k]), int(times[k + 1]))
 
-    def _extend_duration(self, stamps_ns: IntArray, name: str) -> None:
-        if len(stamps_ns) and name != SET_POSE:  # a manual pose may lack a stamp
-            self._first_ns = min(self._first_ns, int(stamps_ns.min()))
-            self._last_ns = max(self._last_ns, int(stamps_ns.max()))
+    def _extend_duration(self, log_times_ns: IntArray) -> None:
+        if len(log_times_ns):
+            self._first_ns = min(self._first_ns, int(log_times_ns.min()))
+            self._last_ns = max(self._last_ns, int(log_times_ns.max()))
 
     def _requested_tables(self, stretch: Stretch) -> dict[str, LoggedMessages]:
         return {
@@ -328,11 +330,10 @@ def stamp_origin_ns(bag: Bag, sprockets: str = SPROCKETS) -> int:
     Simulated time begins at 0, while the recorder goes by the computer's clock.
     """
     topic = next((topic for topic, name in input_names(bag).items() if name == sprockets), None)
-    first = None if topic is None else next(bag.messages([topic]), None)
-    if first is None:
-        return bag.start_ns
-    message = bag.deserialize(first.raw, first.type_name)
-    offset_ns = stamp_ns_of(message) - first.log_time_ns if hasattr(message, "header") else 0
+    messages = islice(bag.messages([topic]) if topic is not None else (), _FIRST_MESSAGES)
+    contents = ((m.log_time_ns, bag.deserialize(m.raw, m.type_name)) for m in messages)
+    offsets_ns = [stamp_ns_of(m) - log_time_ns for log_time_ns, m in contents if hasattr(m, "header")]
+    offset_ns = sorted(offsets_ns)[len(offsets_ns) // 2] if offsets_ns else 0
     return bag.start_ns + (offset_ns if abs(offset_ns) > _OTHER_CLOCK_NS else 0)
 
 
