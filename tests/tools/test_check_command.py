@@ -262,6 +262,26 @@ def replayed(path: Path) -> Replay:
         return replay(bag, parameters_of(bag), InputFilters(), None)
 
 
+def test_simulated_time_that_starts_again_within_a_bag_is_the_only_cause(
+    healthy: Path, tmp_path: Path
+) -> None:
+    """The bag counts by the computer's clock, the stamps by a simulation that was started twice."""
+    with open_bag(healthy) as bag, BagWriter(tmp_path / "bag") as writer:
+        again_ns = (bag.start_ns + bag.end_ns) // 2
+        for m in bag.messages():
+            content = bag.deserialize(m.raw, m.type_name)
+            if hasattr(content, "header"):
+                content.header.stamp.sec -= (again_ns - bag.start_ns) // 10**9 * (m.log_time_ns > again_ns)
+            writer.write(m.topic, m.type_name, serialize(content), m.log_time_ns + 10**18)
+        seconds = (again_ns - bag.start_ns) * 1e-9
+    (cause,) = json_of(tmp_path, "check", tmp_path / "bag", code=ExitCode.FAILED)["causes"]
+    assert (cause["cause"], cause["source"]) == ("clock_set_back", "sprockets")
+    stop_s, start_s = (
+        float(re.search(rf"--{n} ([\d.]+)", cause["remedy"]).group(1)) for n in ("stop", "start")
+    )
+    assert (stop_s, start_s) == pytest.approx((seconds, seconds), abs=0.1)
+
+
 def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:
     with open_bag(healthy) as bag:
         messages = list(bag.messages())

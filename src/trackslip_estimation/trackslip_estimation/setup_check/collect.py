@@ -67,6 +67,14 @@ class Collector:
         if sum(map(len, self.hydraulics)) < _MOST_READINGS:
             self.hydraulics.append(rows[["stamp_ns", "left_pressure", "right_pressure"]])
 
+    def sprocket_times(self) -> NDArray[np.int64]:
+        """(n, 2) stamps and log times of the sprockets, ns, in the order of their arrival."""
+        for (kind, name), parts in self.parts.items():
+            if kind == SPROCKETS:
+                stamps = np.concatenate([part for part, _ in parts])
+                return np.column_stack((stamps, stamps + np.concatenate(self.arrival_delays[name])))
+        return np.empty((0, 2), np.int64)
+
     def log(self) -> Log | None:
         """The log of all columns, on one clock, without long pauses; None without sprockets."""
         columns: Columns = {}

@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
+from numpy.lib.stride_tricks import sliding_window_view
+
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import joined_names
@@ -21,6 +23,7 @@ from trackslip_tools.replay.inputs import SPROCKETS, Batch, InputStream
 from trackslip_tools.terminal_text import table, wrap_line
 
 _SET_BACK_NS = 1_000_000_000  # by less, messages of several threads are out of order
+_SAMPLES_APART = 5  # before and after stamps that go back: single ones may be stray
 _LONG_PAUSE_NS = 3_600_000_000_000
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
@@ -57,7 +60,10 @@ def check_collected(collector: Collector, stream: InputStream) -> Result:
     """Result of the check over the collected measurements, and of sources whose messages become none."""
     log = collector.log()
     result = Result(undetermined=(_no_sprockets(stream),)) if log is None else check(log)
-    causes = (*result.causes, *_invalid_sources(stream), *_recorder_set_back(stream))
+    set_back = _recorder_set_back(stream) or _stamps_set_back(collector, stream.start_ns)
+    if set_back:  # two times are mixed: other findings are of no drive
+        result = replace(result, causes=(), undetermined=())
+    causes = (*result.causes, *_invalid_sources(stream), *set_back)
     return replace(result, causes=causes, notes=tuple(_long_pause(stream)))
 
 
@@ -109,6 +115,27 @@ def _recorder_set_back(stream: InputStream) -> list[Cause]:
         return []
     evidence, remedy = f"the recorder's clock {evidence}", f"{how}; set the clock before a drive"
     return [Cause("clock_set_back", "recorder", evidence, READ_OFF, remedy)]
+
+
+def _stamps_set_back(collector: Collector, start_ns: int) -> list[Cause]:
+    """A cause if the sprockets' stamps go back for good, as those of a simulation that starts again do."""
+    times = collector.sprocket_times()
+    if len(times) < 2 * _SAMPLES_APART:
+        return []
+    spans = sliding_window_view(times[:, 0], _SAMPLES_APART)
+    back_ns = spans.min(axis=1)[:-_SAMPLES_APART] - spans.max(axis=1)[_SAMPLES_APART:]
+    k = int(back_ns.argmax())
+    if back_ns[k] < _SET_BACK_NS:
+        return []
+    last, first = times[k + _SAMPLES_APART - 1 : k + _SAMPLES_APART + 1]
+    end, begin = ((log_time_ns - start_ns) * 1e-9 for log_time_ns in (last[1], first[1]))
+    evidence = (
+        f"stamps of the sprockets go back by {(last[0] - first[0]) * 1e-9:.1f} s at {end:.1f} s of the bag"
+    )
+    remedy = (
+        f"Replay --stop {end:.2f}, and --start {begin:.2f} by itself; record each run of a simulation alone"
+    )
+    return [Cause("clock_set_back", SPROCKETS, evidence, READ_OFF, remedy)]
 
 
 def _long_pause(stream: InputStream) -> list[str]:
