@@ -53,6 +53,9 @@ parameters:
 """
 
 
+ONE_TURN = ((6.0, 0.0, 0.0), (15.0, 0.9, 0.0), (3.0, 0.6, 0.25), (15.0, 0.9, 0.0))
+
+
 def short_drive(parts: int = 8) -> Log:
     return make_drive(programme=PROGRAMME[:parts])
 
@@ -280,6 +283,23 @@ def test_simulated_time_that_starts_again_within_a_bag_is_the_only_cause(
         float(re.search(rf"--{n} ([\d.]+)", cause["remedy"]).group(1)) for n in ("stop", "start")
     )
     assert (stop_s, start_s) == pytest.approx((seconds, seconds), abs=0.1)
+
+
+def test_a_source_of_which_most_measurements_are_rejected_is_not_plausible(tmp_path: Path) -> None:
+    """Headings in degrees, declared as rad, of a drive with one turn: no relation of the check shows them."""
+    log = make_drive(programme=ONE_TURN)
+    folder, fixes = write_csv(tmp_path, log), log.fixes[0]
+    headings = np.degrees(log.compasses[0].headings)
+    _table(folder / "gnss.csv", "t,x,y,yaw", fixes.t, fixes.places, headings)
+    mapping = MAPPING.replace(
+        "{column: y, unit: m}", "{column: y, unit: m}\n    yaw: {column: yaw, unit: rad}"
+    )
+    mapping = mapping.replace("y: 0.02}", "y: 0.02, yaw: 0.02}").replace("use_heading: false, ", "")
+    (folder / "mapping.yaml").write_text(mapping)
+    setup = json_of(tmp_path, "replay", import_drive(folder), code=ExitCode.FAILED)["setup"]
+    (question,) = (one for one in setup["undetermined"] if "rejected" in one["what"])
+    assert question["what"].startswith("gnss_pose: ")
+    assert not setup["plausible"]
 
 
 def test_messages_that_are_written_a_little_out_of_order_are_plausible(healthy: Path, tmp_path: Path) -> None:

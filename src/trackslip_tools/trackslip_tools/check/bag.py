@@ -3,7 +3,7 @@
 """The setup check of a bag, in its own pass or during a replay, and its result as text."""
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 from numpy.lib.stride_tricks import sliding_window_view
@@ -11,10 +11,12 @@ from numpy.lib.stride_tricks import sliding_window_view
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import joined_names
+from trackslip_common.tally import Tally
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion, Result, odds_text
+from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Rejection
 from trackslip_estimation.soil.records import HYDRAULICS
@@ -24,6 +26,7 @@ from trackslip_tools.terminal_text import table, wrap_line
 
 _SET_BACK_NS = 1_000_000_000  # by less, messages of several threads are out of order
 _SAMPLES_APART = 5  # before and after stamps that go back: single ones may be stray
+_LEAST_GATED = 20  # measurements of a source
 _LONG_PAUSE_NS = 3_600_000_000_000
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
@@ -65,6 +68,25 @@ def check_collected(collector: Collector, stream: InputStream) -> Result:
         result = replace(result, causes=(), undetermined=())
     causes = (*result.causes, *_invalid_sources(stream), *set_back)
     return replace(result, causes=causes, notes=tuple(_long_pause(stream)))
+
+
+def with_gated_sources(result: Result, input_counts: Mapping[str, int], rejected: Tally) -> Result:
+    """A plausible result with a question for each source of which a replay gated most measurements.
+
+    ``input_counts``: measurements of each source.
+    """
+    gated = Outcome.GATED.name.lower()
+    counts = {source: n for (source, reason), n in rejected.total.items() if reason == gated}
+    questions = [
+        OpenQuestion(
+            f"{source}: {n} of {input_counts[source]} measurements were rejected, far from the estimate",
+            "check its units, axes, mounting and variances; turns by 90° each way show which is wrong",
+            is_wrong=True,
+        )
+        for source, n in counts.items()
+        if n >= _LEAST_GATED and 2 * n > input_counts[source]
+    ]
+    return replace(result, undetermined=(*result.undetermined, *questions)) if result.is_plausible else result
 
 
 def _no_sprockets(stream: InputStream) -> OpenQuestion:

@@ -17,7 +17,7 @@ from trackslip_estimation.slip.learned import Learned
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_tools.check.bag import check_collected
+from trackslip_tools.check.bag import check_collected, with_gated_sources
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import explain_missing_estimate
 from trackslip_tools.replay.parts import Watch, run_estimator, usable_learned
@@ -64,7 +64,8 @@ def replay(
     result = collector.result()
     result.no_estimate = explain_missing_estimate(bag, p, filters, collector.processed)
     result.start = start
-    result.setup = check_collected(setup, stream)
+    counts = collector.processed
+    result.setup = with_gated_sources(check_collected(setup, stream), counts.input_counts, counts.rejected)
     result.withheld = withheld.result(stream.withholding.counts)
     if soil is not None and stream.messages[HYDRAULICS]:
         result.soil = soil.result(stream.counts.comparable)
