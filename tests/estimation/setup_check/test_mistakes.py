@@ -59,6 +59,15 @@ def names_of(log: Log) -> set[str]:
     return {cause.cause for cause in check(log).causes}
 
 
+@pytest.mark.parametrize(("stddev", "is_stated"), [(0.02, True), (0.3, True), (3.0, False)])
+def test_a_distance_by_fixes_is_stated_unless_their_noise_determines_it(
+    stddev: float, is_stated: bool
+) -> None:
+    distance = check(make_drive(fix_stddev=stddev, has_heading=False)).facts[0]
+    assert distance.startswith("distance: ")
+    assert ("by gnss_pose" in distance) == is_stated
+
+
 def scaled_fixes(log: Log, factor: float) -> Log:
     return replace(log, fixes=tuple(replace(one, places=factor * one.places) for one in log.fixes))
 

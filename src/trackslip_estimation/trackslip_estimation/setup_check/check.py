@@ -297,9 +297,10 @@ def summary_lines(log: Log, drive: Drive, unit: float) -> list[str]:
     ``unit``: factor of the speeds, undone in ``drive``; the lines state the recorded values.
     """
     left, right = unit * np.where(drive.grid.is_driven[:, np.newaxis], drive.grid.tracks, 0.0).T
-    distance = float(np.nansum(np.abs(window_sums(drive.grid, (left + right) / 2.0))))
+    steps = np.abs(window_sums(drive.grid, (left + right) / 2.0))
+    distance = float(np.nansum(steps))
     lines = [f"distance: {distance:.1f} m by the tracks"]
-    if drive.fixes is not None:
+    if drive.fixes is not None and np.nansum(steps[drive.exceeds_noise(steps / unit)]) > distance / 2.0:
         lines[0] += f", {drive.distance_by_fixes:.1f} m by {drive.fixes.name}"
     turns = {"the tracks": window_sums(drive.grid, right - left) / log.machine.tread}
     if drive.gyro is not None:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_sums
 from trackslip_estimation.setup_check.heading import (
     Courses,
@@ -117,7 +117,11 @@ class Drive:
         """Distance by the fixes, in steps that exceed their noise, m; 0 without fixes."""
         if self.fixes is None:
             return 0.0
-        return float(np.nansum(self.fix_distances[self.fix_distances > 3.0 * self.fixes.noise]))
+        return float(np.nansum(self.fix_distances[self.exceeds_noise(self.fix_distances)]))
+
+    def exceeds_noise(self, distances: FloatArray) -> BoolArray:
+        """(w,) whether distances in windows, m, exceed the noise of the fixes; none does without fixes."""
+        return np.asarray(distances > (np.inf if self.fixes is None else 3.0 * self.fixes.noise))
 
     @cached_property
     def turn_fit(self) -> TurnFit:
