@@ -21,7 +21,7 @@ from trackslip_estimation.setup_check.collect import log_of_columns
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import OpenQuestion
 from trackslip_estimation.setup_check.grid import tracks_of_speeds
-from trackslip_estimation.setup_check.log import Counts, Log, Tracks
+from trackslip_estimation.setup_check.log import TRACKS, Counts, Log, Tracks
 from trackslip_estimation.setup_check.places import is_sliding
 from trackslip_estimation.setup_check.unmoved import frozen_spans
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -66,6 +66,20 @@ def test_a_distance_by_fixes_is_stated_unless_their_noise_determines_it(
     distance = check(make_drive(fix_stddev=stddev, has_heading=False)).facts[0]
     assert distance.startswith("distance: ")
     assert ("by gnss_pose" in distance) == is_stated
+
+
+@pytest.mark.parametrize(
+    ("tracks", "gyro", "is_asked"), [(0.01, -0.3, True), (0.01, 0.3, False), (-0.3, -0.3, False)]
+)
+def test_stamps_later_than_their_arrival_are_a_question_as_no_transport_makes_them(
+    tracks: float, gyro: float, is_asked: bool
+) -> None:
+    """A late arrival may be of the transport, and arrivals all early of the recorder's clock."""
+    delays = {TRACKS: tracks, "gnss_pose": tracks + 0.15, "imu/data_raw": gyro}
+    result = check(replace(make_drive(), arrival_delays=delays))
+    questions = [one.what for one in result.undetermined if "before its stamps" in one.what]
+    assert [what.split()[0] for what in questions] == ["imu/data_raw"] * is_asked
+    assert result.is_plausible
 
 
 def scaled_fixes(log: Log, factor: float) -> Log:

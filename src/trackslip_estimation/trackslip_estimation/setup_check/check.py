@@ -23,7 +23,7 @@ from trackslip_estimation.setup_check import (
     unmoved,
 )
 from trackslip_estimation.setup_check.accelerations import judge_accelerations
-from trackslip_estimation.setup_check.common_clock import with_common_clock
+from trackslip_estimation.setup_check.common_clock import judge_early_arrivals, with_common_clock
 from trackslip_estimation.setup_check.count_angle import judge_counts
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import (
@@ -65,6 +65,7 @@ def check(log: Log) -> Result:
     findings = Findings()
     with np.errstate(all="ignore"):
         facts = _run_steps(log, findings)
+    findings.add([] if findings.has_cause("source_delay") else judge_early_arrivals(log))
     causes = [cause for cause in findings.causes if cause.odds >= LEAST_ODDS]
     causes.sort(key=lambda cause: -cause.odds)
     questions = tuple(dict.fromkeys(findings.undetermined))

@@ -16,7 +16,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.clocks import LARGEST_DELAY, maximum_between_steps
-from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, READ_OFF, Cause, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, READ_OFF, Cause, OpenQuestion, odds_of
 from trackslip_estimation.setup_check.log import TRACKS, Array, Fixes, Gyro, Log, Tracks
 
 _LARGEST_SHIFT = 60.0  # s, largest delay that is tried
@@ -24,6 +24,7 @@ _OVERLAP = 0.75  # share of the readings that must overlap
 _STEP, _WINDOW = 0.5, 2.0  # s, between delays; length of the window of a speed
 _WIDTH = 4.0  # s about the maximum of r that belong to it
 _LEAST_READINGS = 10
+_EARLY, _LARGEST_JITTER = 0.1, 0.02  # s, of arrivals before their stamps; of clocks kept by NTP
 _LEAST_SEPARATION = 150.0  # s without readings: longer than outages, and than the data of a running check
 _LEAST_SPEED_CORRELATION = 0.9  # spinning tracks lower it for right stamps too
 _MOST_SPEED_CORRELATION = 0.999
@@ -62,9 +63,7 @@ def _judge_arrivals(log: Log) -> tuple[Log, list[Cause]]:
 
     Arrivals are logged by one clock: it shows how the clocks of the stamps differ.
     """
-    compared = {TRACKS, *(g.name for g in log.gyros), *(f.name for f in log.fixes)}
-    compared |= {compass.name for compass in log.compasses}
-    delays = {name: delay for name, delay in log.arrival_delays.items() if name in compared}
+    delays = _arrival_delays(log)
     if TRACKS not in delays:
         return log, []
 
@@ -75,6 +74,31 @@ def _judge_arrivals(log: Log) -> tuple[Log, list[Cause]]:
     offsets = {name: delay - usual for name, delay in delays.items() if not is_near(delay, usual)}
     log = log.with_stamps(lambda name, t: t + offsets.get(name, 0.0) - offsets.get(TRACKS, 0.0))
     return log, [_arrival_cause(name, delays[name], usual) for name in offsets]
+
+
+def judge_early_arrivals(log: Log) -> list[OpenQuestion]:
+    """A question for each source that arrives before its stamps while the tracks do not.
+
+    Transport makes arrivals late, never early.
+    """
+    delays = _arrival_delays(log)
+    if delays.get(TRACKS, -_EARLY) < -_LARGEST_JITTER:
+        return []  # the recorder's clock may be behind all others
+    return [
+        OpenQuestion(
+            f"{name} arrives {-delay:.2f} s before its stamps, the sprockets after theirs: clocks differ",
+            "compare the clock of its driver with the recorder's",
+        )
+        for name, delay in delays.items()
+        if -LARGEST_DELAY < delay < -_EARLY
+    ]
+
+
+def _arrival_delays(log: Log) -> dict[str, float]:
+    """Usual delays of the arrivals after their stamps, s, of the sources that are compared."""
+    compared = {TRACKS, *(g.name for g in log.gyros), *(f.name for f in log.fixes)}
+    compared |= {compass.name for compass in log.compasses}
+    return {name: delay for name, delay in log.arrival_delays.items() if name in compared}
 
 
 def _arrival_cause(name: str, delay: float, usual: float) -> Cause:
