@@ -245,6 +245,18 @@ def test_stray_stamps_leave_the_check_as_it_is(
     assert (result["plausible"], result["causes"]) == (True, [])
 
 
+def test_times_in_microseconds_declared_as_seconds_are_the_only_cause(tmp_path: Path) -> None:
+    """Each step is hours then: none of them is a pause."""
+    folder = write_csv(tmp_path, short_drive())
+    for path in folder.glob("*.csv"):
+        names, columns = path.read_text().partition("\n")[0], np.loadtxt(path, delimiter=",", skiprows=1)
+        columns[:, 0] *= 1e6
+        _table(path, names, columns, form="%.9f")
+    result = json_of(tmp_path, "check", import_drive(folder), code=ExitCode.FAILED)
+    assert [cause["cause"] for cause in result["causes"]] == ["time_unit"]
+    assert result["notes"] == []
+
+
 @pytest.mark.parametrize(("topic", "number"), [("/sprockets", 0), ("/sprockets", 50), ("/gnss_pose", 20)])
 def test_a_stray_stamp_does_not_lengthen_a_replay(
     healthy: Path, tmp_path: Path, topic: str, number: int

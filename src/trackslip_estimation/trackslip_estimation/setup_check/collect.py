@@ -24,8 +24,8 @@ _UNMEASURED_RATE_VARIANCE = 1e3  # (rad/s)², variance above which an axis count
 _LARGEST_VALUE = 1e12  # magnitude of any valid number
 _OTHER_CLOCK = 86_400 * 1_000_000_000  # ns from the median stamp of a source, with
 _SPREADS = 10  # times its interquartile range: a log may have another unit of time
-_PAUSE_NS = 3600 * 1_000_000_000  # without any measurement, from which time is taken out
-_LEAST_SAMPLES = 10  # of the sprockets before and after a pause; fewer have stray stamps
+LONG_PAUSE_NS = 3600 * 1_000_000_000  # without any measurement, from which time is taken out
+_LEAST_SAMPLES = 10  # of the sprockets before and after a pause, and in an hour: fewer have stray stamps
 _KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
 _MOST_READINGS = 2_000_000  # readings of a source: hours; later ones are not compared
 
@@ -81,7 +81,7 @@ class Collector:
         for key, parts in self.parts.items():
             stamps, values = zip(*parts, strict=True)
             columns[key] = np.concatenate(stamps), np.concatenate(values)
-        pauses = find_pauses(columns)
+        pauses = _find_pauses(columns)
         columns = {key: (pauses.close(stamps), values) for key, (stamps, values) in columns.items()}
         log = log_of_columns(columns, self.parameters)
         delays = {name: np.concatenate(parts) for name, parts in self.arrival_delays.items()}
@@ -115,16 +115,17 @@ class Pauses(NamedTuple):
         return closed
 
 
-def find_pauses(columns: Columns) -> Pauses:
+def _find_pauses(columns: Columns) -> Pauses:
     """The long pauses of all columns that have sprockets before and after."""
     of_sprockets = [stamps for (kind, _), (stamps, _) in columns.items() if kind == SPROCKETS]
     sprockets = np.unique(np.concatenate([np.empty(0, np.int64), *of_sprockets]))
-    by_column = [np.unique(stamps // _PAUSE_NS) for stamps, _ in columns.values()]
+    by_column = [np.unique(stamps // LONG_PAUSE_NS) for stamps, _ in columns.values()]
     hours = np.unique(np.concatenate([np.empty(0, np.int64), *by_column]))
-    empty, ends = np.diff(hours) - 2, hours[1:] * _PAUSE_NS
+    empty, ends = np.diff(hours) - 2, hours[1:] * LONG_PAUSE_NS
     before = np.searchsorted(sprockets, ends)
     is_long = (empty > 0) & (np.minimum(before, len(sprockets) - before) >= _LEAST_SAMPLES)
-    taken_out = np.cumsum(empty[is_long]) * _PAUSE_NS
+    is_long &= len(sprockets) >= _LEAST_SAMPLES * len(hours)  # else each step is one: another unit of time
+    taken_out = np.cumsum(empty[is_long]) * LONG_PAUSE_NS
     return Pauses(ends[is_long], np.concatenate((np.zeros(1, np.int64), taken_out)))
 
 

@@ -14,7 +14,7 @@ from trackslip_common.errors import joined_names
 from trackslip_common.tally import Tally
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_estimation.setup_check.check import check
-from trackslip_estimation.setup_check.collect import Collector
+from trackslip_estimation.setup_check.collect import LONG_PAUSE_NS, Collector
 from trackslip_estimation.setup_check.finding import READ_OFF, Cause, OpenQuestion, Result, odds_text
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -27,7 +27,6 @@ from trackslip_tools.terminal_text import table, wrap_line
 _SET_BACK_NS = 1_000_000_000  # by less, messages of several threads are out of order
 _SAMPLES_APART = 5  # before and after stamps that go back: single ones may be stray
 _LEAST_GATED = 20  # measurements of a source
-_LONG_PAUSE_NS = 3_600_000_000_000
 _SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
 
@@ -67,7 +66,8 @@ def check_collected(collector: Collector, stream: InputStream) -> Result:
     if set_back:  # two times are mixed: other findings are of no drive
         result = replace(result, causes=(), undetermined=())
     causes = (*result.causes, *_invalid_sources(stream), *set_back)
-    return replace(result, causes=causes, notes=tuple(_long_pause(stream)))
+    has_times = all(cause.cause != "time_unit" for cause in causes)  # else each step may be hours
+    return replace(result, causes=causes, notes=tuple(_long_pause(stream)) if has_times else ())
 
 
 def with_gated_sources(result: Result, input_counts: Mapping[str, int], rejected: Tally) -> Result:
@@ -163,7 +163,7 @@ def _stamps_set_back(collector: Collector, start_ns: int) -> list[Cause]:
 def _long_pause(stream: InputStream) -> list[str]:
     """A line if no sprocket sample was logged for hours, with the commands for the drive on each side."""
     pause = stream.longest_pause if stream.exchanged_parts is None else None
-    if pause is None or pause.end_ns - pause.begin_ns < _LONG_PAUSE_NS:
+    if pause is None or pause.end_ns - pause.begin_ns < LONG_PAUSE_NS:
         return []
     begin, end = ((t - stream.start_ns) * 1e-9 for t in pause)
     why = "the recorder paused, or the clock was set"
