@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trackslip_msgs.msg import MeasurementReport as R
 
+from trackslip_common.errors import ExitCode
 from trackslip_common.make import stamp_ns_of
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 
@@ -108,7 +109,10 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     graph.drive(1600, 2220)
     assert next(r for r in reversed(graph.reports) if r.source == "box_pose").gate > 10.0
 
-    summary = graph.end()
+    summary = graph.end(ExitCode.FAILED)
+    assert [cause["cause"] for cause in summary["setup"]["causes"]] == [
+        "clock_set_back"
+    ]  # stamps started again
     assert summary["replay_matches"] is True
     assert summary["rejected"]["box_pose"]["frozen"] == 1
 
