@@ -40,7 +40,7 @@ def spiked(measurements: list[Measurement], which: range, jump: float = 5.0) -> 
 def test_persistent_jump_of_fixes_moves_the_estimate_after_some_seconds(
     drive: Callable[..., Any], model: str, jump: float, thesis_run: Run
 ) -> None:
-    """Until then the source is rejected, and the covariance spans both; the learned slip stays."""
+    """Until then the source is rejected; from the second fix the covariance spans both; the slip stays."""
     driven = drive([(15.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     fixes = sum(isinstance(m, PoseFix) for m in driven.measurements)
     steps = thesis_run(spiked(driven.measurements, range(20, fixes), jump), model=model)
@@ -52,7 +52,7 @@ def test_persistent_jump_of_fixes_moves_the_estimate_after_some_seconds(
     moved_ns, accepted_ns = (first_ns + int(k * 0.2 * S) for k in (20, 20 + len(gated)))
     for e in steps.estimates:
         off = e.pose[0] - driven.truth[e.stamp_ns][0] - (jump if e.stamp_ns > moved_ns else 0.0)
-        if e.stamp_ns > moved_ns + S // 10:
+        if e.stamp_ns > moved_ns + S // 4:  # after the second one
             assert abs(off) < 4.0 * np.sqrt(e.pose_covariance[0, 0])
         if e.stamp_ns > accepted_ns + S:
             assert abs(off) < 0.1

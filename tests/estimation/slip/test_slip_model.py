@@ -138,7 +138,7 @@ def test_rounding_of_positions_is_no_noise_of_the_gyro() -> None:
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 def test_heading_innovation_is_the_shorter_angle(filter_: str) -> None:
     """From 3.1 rad a fix at −3.1 rad is 0.083 rad ahead; the middle is at 3.1416 rad."""
-    at = Gaussian(state(yaw=3.1), np.eye(SIZE) * 1e-4)
+    at = Gaussian(state(yaw=3.1), np.diag(np.arange(SIZE) == YAW) * 1e-4)
     fix = pose_measured(np.array((0.0, 0.0, -3.1)), np.eye(3) * 1e-4, True)
     found = filter_step(config_of(GIVEN, filter=filter_), at, Speeds(0.0, 0.0), 0.0, STRAIGHT, fix)
     turn = 2 * math.pi - 6.2

@@ -210,9 +210,9 @@ def test_uncertain_heading_is_not_a_measurement() -> None:
         PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2)))
         for stddev in (0.05, 0.29, 0.31, 0.6)
     ]
-    records = to_records(fixes, {"box_pose": 0})
-    assert [is_heading_used(record, c) for record in records] == [True, True, False, False]
-    assert [len(observe(np.zeros(1, STATE)[0], record, c).innovation) for record in records] == [3, 3, 2, 2]
+    records, state = to_records(fixes, {"box_pose": 0}), np.zeros(1, STATE)[0]
+    assert [is_heading_used(record, state, c) for record in records] == [True, True, False, False]
+    assert [len(observe(state, record, c).innovation) for record in records] == [3, 3, 2, 2]
 
 
 def test_settings_of_a_source_that_another_layer_removes_are_accepted() -> None:

@@ -67,8 +67,8 @@ def test_sensors_below_the_cab_give_the_same_bits() -> None:
     )
     p, plain = load_slip_parameters(WITH, below), load_slip_parameters()
     assert (p.swings, p.swing_encoders(), p.initial_pose()[0][2]) == (False, {}, 0.0)
-    assert config_of(WITH, below)[0]["size"] == SENSOR_ERRORS + 2  # an offset
-    assert config_of(WITH)[0]["size"] == SENSOR_ERRORS + 3  # and that of the encoder
+    assert config_of(WITH, below)[0]["size"] == SENSOR_ERRORS + 3  # offsets of a position and a heading
+    assert config_of(WITH)[0]["size"] == SENSOR_ERRORS + 4  # and that of the encoder
     given = record(dig(), Cab(encoder=False)).measurements
     own, other = SlipEstimator(p), SlipEstimator(plain)
     for (_, a), (_, b) in zip(own.process_all(given), other.process_all(given), strict=True):

@@ -13,6 +13,7 @@ before the measurement that the event explains. "Since": after the latest consis
     WANDERS          nothing; its positions drift                        since
     HEADING_OFF      the offset of its headings or swing angles          before
     HEADING_WANDERS  the same offset, which walks                        before, or since
+    HEADING_REPEATS  nothing; bit-identical headings of fixes            before
     REPEATS          nothing; bit-identical fixes, angles or velocities  before
                      nothing; the same angle of a swing encoder          since
     STAYS            nothing; fixes that jitter about one position       before, or since
@@ -76,6 +77,7 @@ class Event(IntEnum):
     HEADING_OFF = 18
     HEADING_WANDERS = 19
     LATE = 20
+    HEADING_REPEATS = 21
 
 
 (
@@ -100,6 +102,7 @@ class Event(IntEnum):
     HEADING_OFF,
     HEADING_WANDERS,
     LATE,
+    HEADING_REPEATS,
 ) = map(int, Event)
 
 HEADINGS = 8  # branches of an unknown heading, one for each sector of the circle
@@ -160,6 +163,7 @@ def event_rates(
         Event.OFFSET: fault_rate,
         Event.HEADING_OFF: fault_rate,
         Event.HEADING_WANDERS: fault_rate,
+        Event.HEADING_REPEATS: fault_rate,
         Event.REPEATS: fault_rate,
         Event.STAYS: fault_rate * repeat_jitter,
         Event.WANDERS: fault_rate * e.wander_share,

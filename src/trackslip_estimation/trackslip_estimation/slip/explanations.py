@@ -98,7 +98,15 @@ class Sources(NamedTuple):
 _FINDING_HEADING, _HEADING_WAS_UNKNOWN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
 _OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
-_FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
+_FAULTS = (
+    *_OFFSETS,
+    Event.WANDERS,
+    Event.REPEATS,
+    Event.HEADING_REPEATS,
+    Event.STAYS,
+    Event.SCATTERS,
+    Event.FAILED,
+)
 _ENDED = (*_FAULTS, Event.OUTLIER, Event.RECOVERED)  # of a branch in which no source is at fault
 _MISCOUNTS = {
     SourceFault.COUNTS_HALF: "{source} count half of the distance",
@@ -117,6 +125,7 @@ _WORDS = {
     Event.HEADING_WANDERS: "angles of {source} drift",
     Event.WANDERS: "{source} drifts",
     Event.REPEATS: "{source} repeats one measurement",
+    Event.HEADING_REPEATS: "{source} repeats one heading",
     Event.STAYS: "{source} is frozen",
     Event.SCATTERS: "{source} scatters",
     Event.RECOVERED: "{source} has recovered",
@@ -260,7 +269,7 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
         return _event_text(Event.FAILED, name, is_swing_source=False)
     if fault in _MISCOUNTS:
         return _MISCOUNTS[fault].format(source=name)
-    if fault in (SourceFault.REPEATS, SourceFault.STAYS, SourceFault.WANDERS):
+    if fault in (SourceFault.REPEATS, SourceFault.HEADING_REPEATS, SourceFault.STAYS, SourceFault.WANDERS):
         return _WORDS[Event[fault.name]].format(source=name)
     if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):
         off = abs(math.degrees(math.remainder(state["mean"][sources.yaw_offsets[number]], math.tau)))

@@ -310,7 +310,7 @@ class SlipEstimatorParameters(ModelParameters, ParametersWithVehicle):
     def yaw_offsets(self) -> dict[str, float]:
         """Topic of a source of headings or swing angles → standard deviation of its offset, rad."""
         compasses = {name: compass.yaw_offset_stddev for name, compass in self.compasses().items()}
-        poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.has_yaw_offset}
+        poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.use_heading}
         encoders = {name: encoder.yaw_offset_stddev for name, encoder in self.swing_encoders().items()}
         return compasses | poses | encoders
 

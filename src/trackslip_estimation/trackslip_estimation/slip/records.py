@@ -199,7 +199,7 @@ class State(Record):
     heading_fault: Annotated[IntArray, MOST_SOURCES]  # of headings or swing angles, beside ``fault``
     heading_fault_ns: Annotated[IntArray, MOST_SOURCES]
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source
-    last_value: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of each source; of fixes that stay, their mean
+    last_value: Annotated[FloatArray, (MOST_SOURCES, 3)]  # of each source; of fixes that stay, their mean
     weighed_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
 
 
@@ -220,6 +220,7 @@ class Update(Record):
     coarse: int  # 0 or 1: whether the error of a fix may be time-correlated
     measured_position: Annotated[FloatArray, 2]  # position of base_link by a coarse fix, m
     squared_repeat_distance: float  # from the previous measurement of the source, m², rad² or (m/s)²
+    squared_repeat_angle: float  # of the heading of a fix, rad²
     tied: int  # 0 or 1: takes the likelihood of the most probable branch that may use the fix
     event: int  # latest ``events.Event`` in this step
     attitude: int  # ``AttitudeRejection`` of an IMU or a fix; 0: used, or not requested

@@ -38,8 +38,9 @@ class SourceFault(IntEnum):
     HEADING_OFF = 7  # headings or swing angles have a constant offset; positions are correct
     HEADING_WANDERS = 8  # headings or swing angles have an offset that walks
     WANDERS = 9  # positions drift with a nearly constant velocity; none is used
-    COUNTS_HALF = 10  # sprockets measure half of the motion
-    COUNTS_BACKWARDS = 11  # sprockets measure the opposite motion
+    HEADING_REPEATS = 10  # headings of fixes are constant; none is used
+    COUNTS_HALF = 11  # sprockets measure half of the motion
+    COUNTS_BACKWARDS = 12  # sprockets measure the opposite motion
 
 
 (
@@ -53,6 +54,7 @@ class SourceFault(IntEnum):
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
     IS_WANDERING,
+    IS_HEADING_REPEATING,
     IS_COUNTING_HALF,
     IS_COUNTING_BACKWARDS,
 ) = map(int, SourceFault)
@@ -70,6 +72,13 @@ def is_trusted(state: State, source: int, kind: int) -> bool:
     if kind == POSE:
         return bool(state.fault[source] == IS_HEALTHY)
     return not has_fault(state, source)
+
+
+@compiled
+def is_same_fault(state: State, source: int) -> bool:
+    """Whether one fault of a source affects its positions and its headings."""
+    affects_both = state.fault[source] != IS_HEALTHY and state.heading_fault[source] != IS_HEALTHY
+    return bool(affects_both and state.fault_ns[source] == state.heading_fault_ns[source])
 
 
 @compiled
@@ -134,8 +143,20 @@ def has_wandering_offset(state: State, source: int, c: Config) -> bool:
 
 @compiled
 def has_wandering_heading(state: State, source: int) -> bool:
-    """Whether the angles of a source have an offset that walks: none shows when that fault ends."""
+    """Whether the angles of a source have an offset that walks."""
     return bool(state.heading_fault[source] == IS_HEADING_WANDERING)
+
+
+@compiled
+def has_hidden_heading_fault(state: State, source: int) -> bool:
+    """Whether the angles of a source have a fault of which no measurement shows the end."""
+    return bool(has_wandering_heading(state, source) or has_repeated_heading(state, source))
+
+
+@compiled
+def has_repeated_heading(state: State, source: int) -> bool:
+    """Whether the headings of the fixes of a source repeat one heading."""
+    return bool(state.heading_fault[source] == IS_HEADING_REPEATING)
 
 
 @compiled
@@ -215,9 +236,23 @@ def is_repeated(update: Update, c: Config) -> bool:
 
 
 @compiled
+def is_heading_repeated(update: Update, c: Config) -> bool:
+    """Whether the heading of a fix equals the previous one."""
+    return bool(update.squared_repeat_angle <= c.gate_limits[1] * c.bank.repeat_stddev**2)
+
+
+@compiled
 def can_be_repetition(update: Update, c: Config) -> bool:
     """Whether a fix differs from the previous one by no more than the stated noise of both."""
     return bool(update.squared_repeat_distance <= 2.0 * c.gate_limits[YAW] * update.stated**2)
+
+
+@compiled
+def log_density_of_repeat(squared: float, variance: float, rows: int, c: Config) -> float:
+    """ln of the density of a repetition off by ``squared`` in all, of ``variance`` each; heavy-tailed."""
+    limit, nis = c.gate_limits[rows], squared / variance
+    weighted = nis if nis <= limit else 2.0 * math.sqrt(limit * nis) - limit
+    return -(weighted + rows * (math.log(variance) + _LOG_TWO_PI)) / 2.0
 
 
 @compiled
@@ -238,6 +273,5 @@ def weigh_repeat(kind: int, o: Observation, is_staying: bool, c: Config, update:
         stddev = c.bank.repeat_stddev
     limit = c.gate_limits[m]
     update.dof, update.gate, update.nis = m, limit, update.squared_repeat_distance / stddev**2
-    squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
-    update.evidence = -(squared + m * (2.0 * math.log(stddev) + _LOG_TWO_PI)) / 2.0 - unused
+    update.evidence = log_density_of_repeat(update.squared_repeat_distance, stddev**2, m, c) - unused
     update.outcome = _GATED

@@ -104,11 +104,6 @@ class PoseSource(SourceWithLever):
         lt=1.0,
     )
 
-    @property
-    def has_yaw_offset(self) -> bool:
-        """Whether its yaw offset is estimated."""
-        return self.use_heading and self.yaw_offset_stddev > 0.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class YawRateSource(MountableSource):

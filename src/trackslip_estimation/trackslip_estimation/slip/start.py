@@ -115,7 +115,7 @@ def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) 
     state.fault[:] = state.heading_fault[:] = IS_HEALTHY
     state.outlier_share[:], state.last_value[:] = c.bank.initial_outlier_share, math.nan
     if measurement.kind == POSE and measurement.source != MANUAL:
-        state.last_value[measurement.source] = measurement.value[:2]
+        state.last_value[measurement.source] = measurement.value[:3]
         state.sole_fix_source, state.sole_fix_heading = measurement.source, has_heading(measurement)
     for k in range(MOST_SOURCES):
         state.consistent_ns[k], state.received_ns[k] = stamp_ns, NEVER_NS

@@ -93,7 +93,8 @@ def step(
     propagate_with_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.whitened[:] = 0, 0.0, 0.0
-    update.squared_repeat_distance, update.tied = math.inf, 0
+    update.squared_repeat_distance = update.squared_repeat_angle = math.inf
+    update.tied = 0
     update.coarse, update.stated, update.measured_position[:] = 0, 0.0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
     prior.mean = state.mean

@@ -21,11 +21,12 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.gate import log_probability_of_rejection, update_rejection_time
 from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.observations.gyro import bias_index, observe_rate, update_with_rate
 from trackslip_estimation.slip.observations.odometry import update_with_odometry
 from trackslip_estimation.slip.observations.slips import observe_slips, update_with_slips
-from trackslip_estimation.slip.records import GYROS, ODOMETRY, SLIPS, YAW_RATE
-from trackslip_estimation.slip.source_faults import IS_HEALTHY
+from trackslip_estimation.slip.records import GYROS, ODOMETRY, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, has_repeated_heading, log_density_of_repeat
 from trackslip_estimation.slip.tilt import update_attitude
 from trackslip_estimation.slip.weighing import observe_weighed, weigh_and_update
 from trackslip_estimation.slip.window import is_weighed
@@ -45,6 +46,9 @@ def apply_measurement(
     kind = measurement.kind
     if is_weighed(measurement):
         weigh_and_update(state, measurement, c, update, prior)
+        if kind == POSE and has_repeated_heading(state, measurement.source):
+            variance = 2.0 * max(measurement.noise[YAW, YAW], c.heading_floor[measurement.source] ** 2)
+            update.evidence += log_density_of_repeat(update.squared_repeat_angle, variance, 1, c)
         return
     elapsed = (measurement.stamp_ns - state.received_ns[measurement.source]) * 1e-9
     update_rejection_time(state, measurement, c)

@@ -305,13 +305,14 @@ def _weigh(
 def _set_repeat_distance(
     state: State, measurement: MeasurementRecord, elapsed: float, update: Update
 ) -> None:
-    """Set the squared distance of a measurement from the source's previous one, and store it as the last.
+    """Set the squared distances of a measurement from the source's previous one, and store it as the last.
 
     Fixes of a source that stays are compared with their mean over ``_PLACE_TIME``: those of a machine that
     moves again leave it. ``elapsed``: s since the previous one.
     """
     last, z = state.last_value[measurement.source], measurement.value
     update.squared_repeat_distance = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
+    update.squared_repeat_angle, last[YAW] = wrap(z[YAW] - last[YAW]) ** 2, z[YAW]
     if state.fault[measurement.source] == IS_STAYING:
         share = -math.expm1(-elapsed / _PLACE_TIME)
         last[X] += share * (z[X] - last[X])

@@ -16,7 +16,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.script import record_event
 from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED, TURNED
-from trackslip_estimation.slip.models.model import X, Y
+from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.records import HISTORY, OLDER, POSE
 from trackslip_estimation.slip.source_faults import unknown_position_stddev
 from trackslip_estimation.slip.source_offsets import pose_source_number
@@ -126,10 +126,50 @@ def add_sector_event(
 
     It is restricted before (0) or ``after`` (1) the step to measurement ``first``.
     """
+    _add_event(window, h, TURNED, source, part, 0.0, k, first, after, c)
+
+
+@compiled
+def add_angle_child(
+    window: Window,
+    p: int,
+    k: int,
+    event: int,
+    part: int,
+    angle_event: int,
+    angle_part: int,
+    log_prior: float,
+    c: Config,
+) -> None:
+    """Add to the pool a child of branch p with an event just before fix k, which concerns its heading too.
+
+    ``event`` and ``part`` concern the positions, ``angle_event`` and ``angle_part`` the headings.
+    """
+    h, m = window.status[0].pooled, window.measurements[k]
+    add_child(window, p, k, event, m.source, part, False, log_prior, c)
+    if window.status[0].pooled > h:
+        _add_event(window, h, angle_event, m.source, angle_part, m.value[YAW], k, k, 0, c)
+
+
+@compiled
+def _add_event(
+    window: Window,
+    h: int,
+    event: int,
+    source: int,
+    part: int,
+    value: float,
+    k: int,
+    first: int,
+    after: int,
+    c: Config,
+) -> None:
+    """Add to branch h of the pool another event that explains measurement k, in the step to ``first``."""
     step, explained = window.measurements[first], window.measurements[k]
-    e = record_event(window.pool_branches[h], TURNED, source, part, 0.0, explained, step, after)
+    e = record_event(window.pool_branches[h], event, source, part, value, explained, step, after)
     window.pool_updates[h].reset_states |= apply_event(window.pool_states[h], e, c)
-    window.pool_branches[h].course = 0.0
+    if event == TURNED:
+        window.pool_branches[h].course = 0.0
 
 
 @compiled

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import (
+    add_angle_child,
     add_child,
     add_child_at_measurement,
     add_child_since_snapshot,
@@ -16,7 +17,7 @@ from trackslip_estimation.slip.bank.child import (
     log_measurement_interval,
     squared_jump,
 )
-from trackslip_estimation.slip.bank.course import update_course
+from trackslip_estimation.slip.bank.course import is_heading_carried, update_course
 from trackslip_estimation.slip.bank.earlier_children import (
     are_track_speeds_measured,
     correlated_penalty,
@@ -37,7 +38,9 @@ from trackslip_estimation.slip.events import (
     BIASED,
     FAILED,
     HEADING_OFF,
+    HEADING_REPEATS,
     HEADING_WANDERS,
+    HEADINGS,
     HIDDEN,
     LATE,
     MEASURED,
@@ -78,11 +81,13 @@ from trackslip_estimation.slip.source_faults import (
     IS_SCATTERING,
     can_be_repetition,
     has_failed_unit,
-    has_wandering_heading,
+    has_hidden_heading_fault,
     has_wandering_offset,
     is_displacement_measured,
     is_failed,
+    is_heading_repeated,
     is_repeated,
+    is_same_fault,
     is_trusted,
     log_density_of_any_size,
     unknown_position_stddev,
@@ -174,6 +179,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     elapsed_s = (measurement.stamp_ns - window.states[s, k - 1].weighed_ns[source]) * 1e-9
     branch.fresh = 0
     faults = int(fault != IS_HEALTHY) + int(state.heading_fault[source] != IS_HEALTHY)
+    faults -= int(is_same_fault(state, source))
     if measurement.kind in (POSE, VELOCITY):
         for unit in range(MOST_SOURCES):
             faults += int(is_failed(state.fault[unit]) and _can_recover(state, unit, c))
@@ -209,7 +215,7 @@ def _is_contradicted(window: Window, s: int, k: int, c: Config) -> bool:
 @compiled
 def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether branch s of row k gets children."""
-    m, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
+    m, before = window.measurements[k], window.states[s, k - 1]
     if before.fault[m.source] == IS_SCATTERING:
         return bool(m.kind == POSE or update_of(window, s, k).nis <= c.gate_limits[1])
     if _is_contradicted(window, s, k, c) or is_offset_jump_due(window, s, k, c):
@@ -218,13 +224,24 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if has_failed_unit(before) and m.kind in (POSE, VELOCITY):
         return True
-    if has_wandering_offset(before, m.source, c) or has_wandering_heading(before, m.source):
+    if has_wandering_offset(before, m.source, c) or has_hidden_heading_fault(before, m.source):
         return True
     if _is_slip_implausible(window, s, k, c):
         return True
-    if m.kind in (POSE, VELOCITY) and is_trusted(before, m.source, m.kind):
-        return bool(_is_repeated_in_motion(window, s, k, c) or branch.cusum.max() > c.bank.cusum_limit)
-    return False
+    shows_motion = m.kind in (POSE, VELOCITY) and is_trusted(before, m.source, m.kind)
+    if shows_motion and _is_repeated_in_motion(window, s, k, c):
+        return True
+    return _is_sum_contradicted(window, s, k, c)
+
+
+@compiled
+def _is_sum_contradicted(window: Window, s: int, k: int, c: Config) -> bool:
+    """Whether recent displacements or velocities up to measurement k contradict branch s in their sum."""
+    m, before = window.measurements[k], window.states[s, k - 1]
+    shows = m.kind == VELOCITY and is_trusted(before, m.source, VELOCITY)
+    if m.kind == POSE:
+        shows = is_displacement_measured(before.fault[m.source])
+    return bool(shows and window.branches[s, k].cusum.max() > c.bank.cusum_limit)
 
 
 @compiled
@@ -282,7 +299,7 @@ def _can_have_earlier_event(window: Window, p: int, k: int, c: Config) -> bool:
     m, before = window.measurements[k], window.states[p, k - 1]
     if m.kind not in (POSE, VELOCITY) or before.fault[m.source] == IS_SCATTERING:
         return False
-    shows = is_trusted(before, m.source, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
+    shows = _is_sum_contradicted(window, p, k, c)
     return bool(shows or _is_contradicted(window, p, k, c) or _is_slip_implausible(window, p, k, c))
 
 
@@ -316,8 +333,12 @@ def _make_recovery_children(window: Window, p: int, k: int, contradicts: bool, c
     recovered = log_measurement_interval(window, p, k, c) + c.log_rates[RECOVERED, source]
     if fault != IS_HEALTHY and (contradicts or has_wandering_offset(before, source, c)):
         add_child(window, p, k, RECOVERED, source, 0, False, recovered, c)
-    if before.heading_fault[source] != IS_HEALTHY and (contradicts or has_wandering_heading(before, source)):
+    if before.heading_fault[source] != IS_HEALTHY and (
+        contradicts or has_hidden_heading_fault(before, source)
+    ):
         add_child(window, p, k, RECOVERED, source, ANGLES, False, recovered, c)
+        if fault != IS_HEALTHY:
+            add_angle_child(window, p, k, RECOVERED, 0, RECOVERED, ANGLES, recovered, c)
     make_offset_jump_children(window, p, k, c)
 
 
@@ -369,12 +390,17 @@ def _make_jump_children(window: Window, p: int, k: int, c: Config) -> None:
             add_child_at_measurement(window, p, k, OFFSET, source, size, c)
             if update.dof > YAW and before.heading_fault[source] == IS_HEALTHY:
                 _make_heading_offset_child(window, p, k, c)
+                off = log_measurement_interval(window, p, k, c) + c.log_rates[OFFSET, source] + size
+                add_angle_child(window, p, k, OFFSET, 0, HEADING_OFF, 0, off, c)
     elif before.fault[source] == IS_OFFSET:  # a different offset
         add_child_at_measurement(window, p, k, OFFSET, source, size, c)
     moved = log_measurement_interval(window, p, k, c) + c.log_rates[MOVED, source]
     if before.sole_fix_source == source:  # the position depends on one fix, which may be the outlier too
         moved = max(moved, math.log(before.outlier_share[source]))
     add_child(window, p, k, MOVED, source, 0, False, size + moved, c)
+    if update.dof > YAW and before.heading_fault[source] == IS_HEALTHY and not is_heading_carried(before, c):
+        turned = size + moved - math.log(HEADINGS)
+        add_angle_child(window, p, k, MOVED, 0, TURNED, MEASURED, turned, c)
     if (
         distance_since_snapshot(window, p, k) > c.bank.least_distance
         and update.stated <= c.events.skid_stddev
@@ -394,6 +420,8 @@ def _make_heading_offset_child(window: Window, p: int, k: int, c: Config) -> Non
     if c.yaw_offsets[source] >= 0:
         for event in (HEADING_OFF, HEADING_WANDERS):
             add_child_at_measurement(window, p, k, event, source, 0.0, c)
+        if window.measurements[k].kind == POSE and is_heading_repeated(update_of(window, p, k), c):
+            add_child_at_measurement(window, p, k, HEADING_REPEATS, source, 0.0, c)
 
 
 @compiled

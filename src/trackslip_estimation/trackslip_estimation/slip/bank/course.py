@@ -63,7 +63,7 @@ def update_course(window: Window, s: int, k: int, c: Config) -> None:
     if is_measured and update.nis <= contradiction_limit(update.dof, c):
         branch.course = _remaining_course(branch, measurement.stamp_ns, c)
         branch.course_ns = measurement.stamp_ns
-    if state.is_sector or is_heading_unknown(state) or not _is_heading_carried(state, c):
+    if state.is_sector or is_heading_unknown(state) or not is_heading_carried(state, c):
         branch.course = 0.0
     elif _is_course_measured(state, measurement.source, c):
         P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
@@ -82,7 +82,7 @@ def _is_course_measured(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
-def _is_heading_carried(state: State, c: Config) -> bool:
+def is_heading_carried(state: State, c: Config) -> bool:
     """Whether a gyro measures the yaw rate of the undercarriage, on the cab with an encoder of the swing."""
     if state.fault[GYROS] != IS_HEALTHY:
         return False

@@ -20,6 +20,7 @@ from trackslip_estimation.slip.events import (
     BIASED,
     FAILED,
     HEADING_OFF,
+    HEADING_REPEATS,
     HEADING_WANDERS,
     HEADINGS,
     HIDDEN,
@@ -63,6 +64,7 @@ from trackslip_estimation.slip.records import BRAKE, GYROS, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_FAILED,
     IS_HEADING_OFF,
+    IS_HEADING_REPEATING,
     IS_HEADING_WANDERING,
     IS_HEALTHY,
     IS_IGNORED,
@@ -96,7 +98,8 @@ _FAULTS[[RECOVERED, BECAME_JUMP]] = IS_HEALTHY
 _FAULTS[OFFSET], _FAULTS[WANDERS] = IS_OFFSET, IS_WANDERING
 _FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
 _FAULTS[HEADING_OFF], _FAULTS[HEADING_WANDERS] = IS_HEADING_OFF, IS_HEADING_WANDERING
-_FAULTS[FAILED] = IS_FAILED
+_FAULTS[HEADING_REPEATS], _FAULTS[FAILED] = IS_HEADING_REPEATING, IS_FAILED
+_HEADING_FAULTS = IS_HEADING_OFF, IS_HEADING_WANDERING, IS_HEADING_REPEATING
 
 
 @compiled
@@ -162,7 +165,7 @@ def _set_source_fault(state: State, e: EventRecord) -> None:
         state.sole_fix_source = source
         if state.fault[source] == IS_SCATTERING:
             state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_HEALTHY
-    elif fault in (IS_HEADING_OFF, IS_HEADING_WANDERING) or (fault == IS_HEALTHY and e.part == ANGLES):
+    elif fault in _HEADING_FAULTS or (fault == IS_HEALTHY and e.part == ANGLES):
         state.heading_fault_ns[source], state.heading_fault[source] = state.stamp_ns, fault
     elif fault != _NOT_ABOUT_SOURCE:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, fault

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Try whether a lasting offset of a source is a jump of the machine; compiled."""
+"""Try whether a lasting offset of a source is a jump of the machine; compiled.
+
+A gyro would have measured a jump of the heading: while gyros measure all turns, only positions are tried.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,26 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.child import add_child
+from trackslip_estimation.slip.bank.child import add_angle_child, add_child
+from trackslip_estimation.slip.bank.course import is_heading_carried
 from trackslip_estimation.slip.events import ANGLES, BECAME_JUMP, MOVED, OFFSET
 from trackslip_estimation.slip.records import MOST_SOURCES, POSE
-from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, IS_WANDERING, has_fault, is_trusted
+from trackslip_estimation.slip.source_faults import (
+    IS_HEADING_OFF,
+    IS_HEADING_WANDERING,
+    IS_OFFSET,
+    IS_WANDERING,
+    has_fault,
+    is_same_fault,
+    is_trusted,
+)
 from trackslip_estimation.slip.source_offsets import pose_source_number
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
 
+_HEADING_OFFSETS = IS_HEADING_OFF, IS_HEADING_WANDERING
 _WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
 
 
@@ -31,19 +44,23 @@ def is_offset_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
 def make_offset_jump_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add the children of branch p in which an offset is a jump, where it is due."""
     source, before = window.measurements[k].source, window.states[p, k - 1]
-    if _is_position_jump_due(window, p, k, c):
-        _make_jump_child(window, p, k, before.fault_ns[source], 0, c)
     if _is_heading_jump_due(window, p, k, c):
-        _make_jump_child(window, p, k, before.heading_fault_ns[source], ANGLES, c)
+        prior = _log_prior_of_jump(window, k, before.heading_fault_ns[source], c)
+        if is_same_fault(before, source):
+            add_angle_child(window, p, k, BECAME_JUMP, 0, BECAME_JUMP, ANGLES, prior, c)
+        else:
+            add_child(window, p, k, BECAME_JUMP, source, ANGLES, False, prior, c)
+    elif _is_position_jump_due(window, p, k, c):
+        prior = _log_prior_of_jump(window, k, before.fault_ns[source], c)
+        add_child(window, p, k, BECAME_JUMP, source, 0, False, prior, c)
 
 
 @compiled
-def _make_jump_child(window: Window, p: int, k: int, since_ns: int, part: int, c: Config) -> None:
-    """Add a child in which an offset is a jump since ``since_ns``: it does not pay for its duration."""
+def _log_prior_of_jump(window: Window, k: int, since_ns: int, c: Config) -> float:
+    """ln of the prior of an offset since ``since_ns`` as a jump: it does not pay for its duration."""
     m = window.measurements[k]
     age = (m.stamp_ns - since_ns) * 1e-9 / c.events.fault_time
-    prior = age + c.log_rates[MOVED, m.source] - c.log_rates[OFFSET, m.source]
-    add_child(window, p, k, BECAME_JUMP, m.source, part, False, prior, c)
+    return float(age + c.log_rates[MOVED, m.source] - c.log_rates[OFFSET, m.source])
 
 
 @compiled
@@ -52,6 +69,8 @@ def _is_position_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault, since_ns = before.fault[source], before.fault_ns[source]
     if s != 0 or fault not in (IS_OFFSET, IS_WANDERING) or pose_source_number(source, c) < 0:
+        return False
+    if is_same_fault(before, source):  # not without its heading
         return False
     for other in range(MOST_SOURCES):
         shows = other != source and pose_source_number(other, c) >= 0 and is_trusted(before, other, POSE)
@@ -65,7 +84,7 @@ def _is_heading_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether to try the offset of the source's angles as a jump, once each fault time."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     since_ns = before.heading_fault_ns[source]
-    if s != 0 or before.heading_fault[source] == IS_HEALTHY:
+    if s != 0 or before.heading_fault[source] not in _HEADING_OFFSETS or is_heading_carried(before, c):
         return False
     for other in range(MOST_SOURCES):
         same_angle = c.yaw_offsets[other] >= 0 and c.measures_swing[other] == c.measures_swing[source]

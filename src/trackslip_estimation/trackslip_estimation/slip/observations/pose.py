@@ -35,7 +35,7 @@ from trackslip_estimation.slip.levers import (
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.shear import is_shear_building_up
-from trackslip_estimation.slip.source_faults import IS_OFFSET
+from trackslip_estimation.slip.source_faults import IS_OFFSET, has_repeated_heading
 from trackslip_estimation.slip.source_offsets import (
     has_correlated_errors,
     is_unobserved_receiver,
@@ -50,10 +50,11 @@ if TYPE_CHECKING:
 
 
 @compiled
-def is_heading_used(measurement: MeasurementRecord, c: Config) -> bool:
+def is_heading_used(measurement: MeasurementRecord, state: State, c: Config) -> bool:
     """Whether the heading of a pose is used; above its ceiling it may be wrong by whole quarter turns."""
-    ceiling = c.heading_ceiling[measurement.source]
-    return bool(c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling)
+    source, ceiling = measurement.source, c.heading_ceiling[measurement.source]
+    is_certain = measurement.noise[YAW, YAW] <= ceiling * ceiling
+    return bool(c.use_heading[source] == 1 and is_certain and not has_repeated_heading(state, source))
 
 
 @compiled
@@ -67,7 +68,7 @@ def raise_to_floors(R: FloatArray, rows: int, source: int, c: Config) -> None:
 @compiled
 def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> FloatArray:
     """(m, m) covariance stated for a pose, with the displacement of its sensor by tilt and swing."""
-    source, rows = measurement.source, 3 if is_heading_used(measurement, c) else 2
+    source, rows = measurement.source, 3 if is_heading_used(measurement, state, c) else 2
     R = measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
     for i in range(YAW):
