@@ -94,6 +94,8 @@ class Reading(Record):
     first_ns: int  # stamp of the first reading in a row of this value
     without_slip: float  # yaw rate without slip at that stamp, rad/s
     longest_ns: int  # duration of the longest earlier row of equal readings
+    bias: float  # of a gyro when the machine stopped, rad/s
+    bias_variance: float  # of that, (rad/s)²
 
 
 class Streak(Record):

@@ -10,7 +10,7 @@
 Inside its gate a reading is used in full. Where only the largest possible noise explains a reading, it is
 down-weighted. Beyond that it is rejected, until the gate has widened (``gate``). A reading that passes only
 the widened gate indicates an error of the state: the variance of the bias is inflated by ν², or that of σ̇ by
-the square of the largest swing rate.
+the square of the largest swing rate. So it is where a standstill corrects the bias by more than its error.
 
 In a turn any yaw rate between zero and that without slip is possible on some ground. If several such readings
 in a row are outside the gate and agree with each other, the ground has changed: the variances of the turn
@@ -176,7 +176,25 @@ def update_with_rate(
         copy_square(P, prior.covariance, c.size)
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
+    _inflate_changed_bias(state, source, c)
     state.consistent_ns[source] = measurement.stamp_ns
+
+
+@compiled
+def _inflate_changed_bias(state: State, source: int, c: Config) -> None:
+    """Inflate the variance of a bias that a standstill corrects by more than its error.
+
+    An error of the bias is one of the heading too, which has integrated it. A bias that has changed is none.
+    """
+    index, last = bias_index(source, c), state.readings[source]
+    bias, variance = state.mean[index], state.covariance[index, index]
+    is_observed = state.motion.motion == _STANDING and not is_free_to_swing(state, source, c)
+    if is_observed and variance <= last.bias_variance:
+        squared = (bias - last.bias) ** 2
+        if squared <= c.gate_limits[1] * (last.bias_variance - variance):
+            return
+        state.covariance[index, index] = variance = variance + squared
+    last.bias, last.bias_variance = bias, variance
 
 
 @compiled
