@@ -114,7 +114,7 @@ def create_children(window: Window, k: int, c: Config) -> int:
     count = window.counts[k]
     for s in range(count):
         _subtract_fault_costs(window, s, k, c)
-        if window.measurements[k].kind == POSE:
+        if window.measurements[k].kind in (POSE, VELOCITY):
             update_course(window, s, k, c)
     needs_children = [_needs_children(window, s, k, c) for s in range(count)]
     if count == 1 and not needs_children[0]:

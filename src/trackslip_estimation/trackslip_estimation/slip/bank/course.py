@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How strongly earlier fixes confirm the heading of a branch, while a gyro carries it; compiled.
+"""How strongly earlier fixes and velocities confirm the heading of a branch, while a gyro carries it; compiled.
 
     d    predicted displacement between two fixes along the heading                 m
     ν    innovation of the later fix along it, z = d + ν: measured displacement     m
@@ -10,7 +10,7 @@
 
 A heading that differs by ±θ predicts a displacement turned by ±θ. So ln of the odds against it grows at each
 fix by (1 − cos θ) d z/S, on average over both signs; an outlier counts like ν of ``cusum_largest`` standard
-deviations. A displacement across the heading counts nothing: a centre of rotation on the other side explains
+deviations. A velocity counts likewise, with d the speed along the heading. A displacement across the heading counts nothing: a centre of rotation on the other side explains
 it with the reversed heading. Neither do tracks that do not grip: with a slip of 1 or more they may move the
 machine in any direction.
 
@@ -31,7 +31,8 @@ from trackslip_estimation.slip.bank.plausibility import is_gripping
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.levers import is_heading_unknown
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER
+from trackslip_estimation.slip.models.speed import SPEED_ERROR
+from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, VELOCITY
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
     has_failed_unit,
@@ -43,7 +44,7 @@ from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import Branch, State
+    from trackslip_estimation.slip.records import Branch, MeasurementRecord, State, Update
 
 _MOST = 100.0  # q
 _MEMORY = 2.0  # rad, of turns
@@ -51,14 +52,18 @@ _MEMORY = 2.0  # rad, of turns
 
 @compiled
 def update_course(window: Window, s: int, k: int, c: Config) -> None:
-    """Add fix k to q of branch s, where the branch predicts displacements by tracks and gyro."""
+    """Add fix or velocity k to q of branch s, where the branch predicts it by tracks and gyro."""
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
-    east = state.displacement[X] - branch.course_from[X]
-    north = state.displacement[Y] - branch.course_from[Y]
-    turn = wrap(state.mean[YAW] - branch.course_from[YAW])
-    branch.course_from[:2], branch.course_from[YAW] = state.displacement, state.mean[YAW]
-    branch.course *= math.exp(-abs(turn) / _MEMORY)
     measurement = window.measurements[k]
+    confirmed = _confirmed_by_fix(state, branch, update, c)
+    if measurement.kind == VELOCITY:
+        elapsed = (measurement.stamp_ns - window.states[s, k - 1].weighed_ns[measurement.source]) * 1e-9
+        confirmed = _confirmed_by_velocity(state, measurement, elapsed, update, c)
+    turn = wrap(state.mean[YAW] - branch.course_from[YAW])
+    branch.course_from[YAW] = state.mean[YAW]
+    if measurement.kind == POSE:
+        branch.course_from[:2] = state.displacement
+    branch.course *= math.exp(-abs(turn) / _MEMORY)
     is_measured = is_displacement_measured(state.fault[measurement.source])
     if is_measured and update.nis <= contradiction_limit(update.dof, c):
         branch.course = _remaining_course(branch, measurement.stamp_ns, c)
@@ -66,12 +71,38 @@ def update_course(window: Window, s: int, k: int, c: Config) -> None:
     if state.is_sector or is_heading_unknown(state) or not is_heading_carried(state, c):
         branch.course = 0.0
     elif _is_course_measured(state, measurement.source, c):
-        P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
-        variance = update.stated * update.stated + (P[X, X] + P[Y, Y]) / 2.0
-        ahead, most = cos * east + sin * north, c.bank.cusum_largest
-        innovation = min(max(update.whitened[0], -most), most) * math.sqrt(variance)
-        confirmed = ahead * (ahead + innovation) / variance
         branch.course = min(max(branch.course + confirmed, 0.0), _MOST)
+
+
+@compiled
+def _confirmed_by_fix(state: State, branch: Branch, update: Update, c: Config) -> float:
+    """Part of q by the displacement since the previous fix."""
+    P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    east = state.displacement[X] - branch.course_from[X]
+    north = state.displacement[Y] - branch.course_from[Y]
+    ahead, variance = cos * east + sin * north, update.stated * update.stated + (P[X, X] + P[Y, Y]) / 2.0
+    return ahead * (ahead + _usual_innovation(update, variance, c)) / variance
+
+
+@compiled
+def _confirmed_by_velocity(
+    state: State, m: MeasurementRecord, elapsed: float, update: Update, c: Config
+) -> float:
+    """Part of q by an east-north velocity ``elapsed`` s after the previous one: its errors last for τ."""
+    if c.body_axes[m.source] == 1 or update.dof < YAW:
+        return 0.0
+    variance = (m.noise[0, 0] + m.noise[1, 1]) / 2.0 + state.covariance[SPEED_ERROR, SPEED_ERROR]
+    measured = math.cos(state.mean[YAW]) * m.value[X] + math.sin(state.mean[YAW]) * m.value[Y]
+    ahead = measured - update.whitened[0] * math.sqrt(variance)
+    share = min(elapsed / c.velocity_errors.time, 1.0)
+    return share * ahead * (ahead + _usual_innovation(update, variance, c)) / variance
+
+
+@compiled
+def _usual_innovation(update: Update, variance: float, c: Config) -> float:
+    """Innovation of a variance along the heading, of at most the largest usual size."""
+    most = c.bank.cusum_largest
+    return min(max(update.whitened[0], -most), most) * math.sqrt(variance)
 
 
 @compiled
