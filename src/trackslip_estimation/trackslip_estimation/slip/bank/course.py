@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How strongly earlier fixes and velocities confirm the heading of a branch, while a gyro carries it; compiled.
+"""How strongly earlier fixes and velocities confirm a heading that a gyro carries; compiled.
 
     d    predicted displacement between two fixes along the heading                 m
     ν    innovation of the later fix along it, z = d + ν: measured displacement     m
@@ -10,9 +10,10 @@
 
 A heading that differs by ±θ predicts a displacement turned by ±θ. So ln of the odds against it grows at each
 fix by (1 − cos θ) d z/S, on average over both signs; an outlier counts like ν of ``cusum_largest`` standard
-deviations. A velocity counts likewise, with d the speed along the heading. A displacement across the heading counts nothing: a centre of rotation on the other side explains
-it with the reversed heading. Neither do tracks that do not grip: with a slip of 1 or more they may move the
-machine in any direction.
+deviations. A velocity to the east and north counts likewise, with d and z along the heading in m/s. A
+displacement across the heading counts nothing: a centre of rotation on the other side explains it with the
+reversed heading. Neither do tracks that do not grip: with a slip of 1 or more they may move the machine in
+any direction.
 
 A gyro measures all turns since, on the cab together with an encoder of the swing: what confirmed the heading
 before still holds. Without their readings q is zero, and after ``look_back_time`` without a fix that agrees.

@@ -14,6 +14,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import add_angle_child, add_child
 from trackslip_estimation.slip.bank.course import is_heading_carried
 from trackslip_estimation.slip.events import ANGLES, BECAME_JUMP, MOVED, OFFSET
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import MOST_SOURCES, POSE
 from trackslip_estimation.slip.source_faults import (
     IS_HEADING_OFF,
@@ -25,10 +26,12 @@ from trackslip_estimation.slip.source_faults import (
     is_trusted,
 )
 from trackslip_estimation.slip.source_offsets import pose_source_number
+from trackslip_estimation.slip.weighing import contradiction_limit
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 _HEADING_OFFSETS = IS_HEADING_OFF, IS_HEADING_WANDERING
 _WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
@@ -74,9 +77,21 @@ def _is_position_jump_due(window: Window, s: int, k: int, c: Config) -> bool:
         return False
     for other in range(MOST_SOURCES):
         shows = other != source and pose_source_number(other, c) >= 0 and is_trusted(before, other, POSE)
-        if shows and before.consistent_ns[other] > since_ns:
+        if shows and before.consistent_ns[other] > since_ns and _is_precise(before, other, source, c):
             return False  # this other source measures no jump
     return _begins_period(window, s, k, since_ns, _WANDER_TIMES if fault == IS_WANDERING else 1.0, c)
+
+
+@compiled
+def _is_precise(state: State, other: int, source: int, c: Config) -> bool:
+    """Whether fixes of an ``other`` source would contradict a jump by the offset of ``source``."""
+    wander, first = state.offsets[pose_source_number(source, c)].wander, c.offsets[source]
+    east, north = state.mean[first], state.mean[first + 1]
+    if state.fault[source] == IS_WANDERING:
+        east, north = wander.east, wander.north
+    by_other = state.offsets[pose_source_number(other, c)]
+    variance = by_other.stddev * by_other.stddev + by_other.variance
+    return bool(east * east + north * north > contradiction_limit(YAW, c) * variance)
 
 
 @compiled
