@@ -82,7 +82,7 @@ def _confirmed_by_fix(state: State, branch: Branch, update: Update, c: Config) -
     east = state.displacement[X] - branch.course_from[X]
     north = state.displacement[Y] - branch.course_from[Y]
     ahead, variance = cos * east + sin * north, update.stated * update.stated + (P[X, X] + P[Y, Y]) / 2.0
-    return ahead * (ahead + _usual_innovation(update, variance, c)) / variance
+    return float(ahead * (ahead + _usual_innovation(update, variance, c)) / variance)
 
 
 @compiled
@@ -96,14 +96,14 @@ def _confirmed_by_velocity(
     measured = math.cos(state.mean[YAW]) * m.value[X] + math.sin(state.mean[YAW]) * m.value[Y]
     ahead = measured - update.whitened[0] * math.sqrt(variance)
     share = min(elapsed / c.velocity_errors.time, 1.0)
-    return share * ahead * (ahead + _usual_innovation(update, variance, c)) / variance
+    return float(share * ahead * (ahead + _usual_innovation(update, variance, c)) / variance)
 
 
 @compiled
 def _usual_innovation(update: Update, variance: float, c: Config) -> float:
     """Innovation of a variance along the heading, of at most the largest usual size."""
     most = c.bank.cusum_largest
-    return min(max(update.whitened[0], -most), most) * math.sqrt(variance)
+    return float(min(max(update.whitened[0], -most), most) * math.sqrt(variance))
 
 
 @compiled
@@ -140,7 +140,12 @@ def log_odds_against_turn(window: Window, p: int, k: int, part: int, c: Config) 
 
     In its own sector, ``part`` 0: against one that is off by the standard deviation of a sector.
     """
-    branch, (angle, variance) = window.branches[p, k - 1], sector_angle(part)
-    snapshot_ns = window.measurements[branch.snapshots[OLDER].entry].stamp_ns
-    against = 1.0 - math.cos(angle if part > 0 else math.sqrt(variance))
-    return against * _remaining_course(branch, snapshot_ns, c)
+    angle, variance = sector_angle(part)
+    snapshot_ns = window.measurements[window.branches[p, k - 1].snapshots[OLDER].entry].stamp_ns
+    return log_odds_against_angle(window, p, k, angle if part > 0 else math.sqrt(variance), snapshot_ns, c)
+
+
+@compiled
+def log_odds_against_angle(window: Window, p: int, k: int, angle: float, stamp_ns: int, c: Config) -> float:
+    """ln of the odds of the heading of branch p before k, against one that is ``angle`` rad off."""
+    return float((1.0 - math.cos(angle)) * _remaining_course(window.branches[p, k - 1], stamp_ns, c))

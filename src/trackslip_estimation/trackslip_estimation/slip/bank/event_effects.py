@@ -336,8 +336,21 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     if has_velocity_errors(c):
         for k in _LEARNED_BY_HEADING:
             reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
+        reset_states |= _end_heading_offsets(state, c)
         reset_states |= _reset_slip_of_heading(state, was_unknown, e.part == REVERSED, c)
         reset_delay(state, c)
+    return reset_states
+
+
+@compiled
+def _end_heading_offsets(state: State, c: Config) -> int:
+    """End the offsets of headings that seemed off beside a wrong heading; return the reset states."""
+    reset_states = 0
+    for source in range(state.heading_fault.size):
+        is_off = state.heading_fault[source] in (IS_HEADING_OFF, IS_HEADING_WANDERING)
+        if is_off and c.measures_swing[source] == 0:
+            index, state.heading_fault[source] = c.yaw_offsets[source], IS_HEALTHY
+            reset_states |= _reset_state(state, index, 0.0, c.prior_variance[index], c)
     return reset_states
 
 

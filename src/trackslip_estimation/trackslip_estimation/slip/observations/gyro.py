@@ -10,7 +10,8 @@
 Inside its gate a reading is used in full. Where only the largest possible noise explains a reading, it is
 down-weighted. Beyond that it is rejected, until the gate has widened (``gate``). A reading that passes only
 the widened gate indicates an error of the state: the variance of the bias is inflated by ν², or that of σ̇ by
-the square of the largest swing rate. So it is where a standstill corrects the bias by more than its error.
+the square of the largest swing rate. A bias that a standstill corrects by more than its error has changed: it
+loses its correlations.
 
 In a turn any yaw rate between zero and that without slip is possible on some ground. If several such readings
 in a row are outside the gate and agree with each other, the ground has changed: the variances of the turn
@@ -32,6 +33,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import copy_square, wrap
+from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.kalman.update import (
     Observation,
     correct,
@@ -176,13 +178,13 @@ def update_with_rate(
         copy_square(P, prior.covariance, c.size)
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
-    _inflate_changed_bias(state, source, c)
+    _decouple_changed_bias(state, source, c)
     state.consistent_ns[source] = measurement.stamp_ns
 
 
 @compiled
-def _inflate_changed_bias(state: State, source: int, c: Config) -> None:
-    """Inflate the variance of a bias that a standstill corrects by more than its error.
+def _decouple_changed_bias(state: State, source: int, c: Config) -> None:
+    """Remove the correlations of a bias that a standstill corrects by more than its error.
 
     An error of the bias is one of the heading too, which has integrated it. A bias that has changed is none.
     """
@@ -193,7 +195,7 @@ def _inflate_changed_bias(state: State, source: int, c: Config) -> None:
         squared = (bias - last.bias) ** 2
         if squared <= c.gate_limits[1] * (last.bias_variance - variance):
             return
-        state.covariance[index, index] = variance = variance + squared
+        replace_state(state.mean[: c.size], state.covariance[:], index, bias, variance)
     last.bias, last.bias_variance = bias, variance
 
 
