@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``can_driver``: publishes sprockets, hydraulics and swing from the CAN bus, by the roles file."""
 
+import errno
+import os
 import sys
 from dataclasses import replace
 from types import MappingProxyType
@@ -25,6 +27,7 @@ from trackslip_drivers.stamping import StampEvent
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
 _BODY_FRAME = "base_link"
+_SET_UP = "ip link set {} up type can bitrate 250000 restart-ms 100"  # as in deploy/systemd
 _PATIENCE = 5.0  # s of samples, after which each frame with a role should have come
 _MESSAGES = {
     SprocketSample: ("sprockets", conversions.blank_joint_state, conversions.fill_joint_state),
@@ -102,6 +105,23 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             output.publish()
             if type(sample) is self._can.main_kind:
                 self.count_message()
+
+    def dialogue_state(self) -> str:
+        """That the controller has left the bus, if it has."""
+        return "bus off" if self._bus_state is BusState.OFF else ""
+
+    def port_remedy(self, error: str = "") -> str:
+        """Remedy for the state of the controller or the interface; Linux restarts neither by itself."""
+        channel = self.settings.can_channel
+        if self.settings.can_interface != "socketcan":
+            return super().port_remedy(error)
+        if error == os.strerror(errno.ENODEV):
+            return f"check the adapter and can_channel: ip link does not list {channel}"
+        if error == os.strerror(errno.ENETDOWN):
+            return f"set it up, with the bitrate of the bus: {_SET_UP.format(channel)}"
+        if self._bus_state is BusState.OFF:
+            return f"{self.advice}, then: ip link set {channel} type can restart (or set restart-ms)"
+        return super().port_remedy(error)
 
     def unusable_data_message(self) -> str:
         """Reason why no received frame has a role; empty if unknown."""

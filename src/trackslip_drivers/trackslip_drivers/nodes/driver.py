@@ -196,8 +196,12 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         return f"{self.device} on {self.hardware()}"
 
     def dialogue_state(self) -> str:
-        """State of the dialogue with the device while no data come; empty without a dialogue."""
+        """State of the device or of the dialogue with it while no data come; empty if unknown."""
         return ""
+
+    def port_remedy(self, error: str = "") -> str:
+        """Remedy for a port that failed with this text, or that delivers nothing."""
+        return _REMEDIES.get(error, self.advice)
 
     def unusable_data_message(self) -> str:
         """Message about valid data that cannot be used, with the remedy; empty if there are none."""
@@ -210,7 +214,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
         if not state.connected and not state.was_silent:
-            remedy = _REMEDIES.get(state.last_error, self.advice)
+            remedy = self.port_remedy(state.last_error)
             return ERROR, f"{where}: not connected ({state.last_error}); {remedy}"
         limit_s = _STALE_PERIODS * self.period
         text, reason, is_event, rejected_s, _ = self._rejected
@@ -228,7 +232,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         if silent_s < _SILENCE_LIMIT and (problem := self.unusable_data_message()):
             return ERROR, f"{where}: {problem}"
         if silent_s > 0.5 * limit_s or not state.has_received:
-            return STALE, f"{where}: no {self.data_name}{dialogue}; {self.advice}"
+            return STALE, f"{where}: no {self.data_name}{dialogue}; {self.port_remedy()}"
         if is_event or not is_recent:
             text = reason = "no complete message"
         if reason in self.transient_reasons:

@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the CAN driver reports of an interface that is absent, down, or off the bus."""
+
+import errno
+import os
+
+import can as python_can
+import pytest
+from fixtures.own_node import started
+from fixtures.patience import wait_for
+
+from trackslip_common.nodes.health import ERROR, STALE
+from trackslip_drivers.nodes import can_driver
+from trackslip_drivers.nodes.can_driver import CanDriverNode
+from trackslip_drivers.transports.can_bus import CanBus
+
+SOCKETCAN = {"can_interface": "socketcan", "can_channel": "can7"}
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENODEV, "(No such device); check the adapter and can_channel: ip link does not list can7"),
+        (errno.ENETDOWN, "(Network is down); set it up, with the bitrate of the bus: ip link set can7 up "),
+    ],
+)
+def test_interface_that_is_absent_or_down_has_its_own_remedy(domain, monkeypatch, number, remedy):
+    def fail(*_args):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(can_driver, "CanBus", fail)
+    with started(CanDriverNode, domain, **SOCKETCAN) as node:
+        wait_for(lambda: node.link.state().errors)
+        (health, *_) = node.health()
+        assert health.level == ERROR
+        assert remedy in health.message
+
+
+def test_bus_off_is_named_with_its_remedy_until_frames_come_again(domain, monkeypatch):
+    """Linux restarts a controller that is off only by restart-ms: a socket opened again receives nothing."""
+    monkeypatch.setattr(can_driver, "CanBus", lambda _interface, channel, _: CanBus("virtual", channel, {}))
+    with (
+        started(CanDriverNode, domain, **SOCKETCAN) as node,
+        python_can.Bus("can7", interface="virtual") as bus,
+    ):
+
+        def send(identifier, is_error):
+            bus.send(python_can.Message(arbitration_id=identifier, is_error_frame=is_error, data=bytes(8)))
+
+        wait_for(lambda: node.link.state().connected)
+        send(0x40, True)
+        wait_for(lambda: node.link.state().openings == 2)
+        (health, *_) = node.health()
+        assert health.level == STALE
+        assert (
+            "no frames (bus off); check power, wiring and bitrate, then: ip link set can7 " in health.message
+        )
+        send(0x12345, False)
+        wait_for(lambda: "bus off" not in node.health()[0].message)
