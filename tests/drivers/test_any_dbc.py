@@ -114,7 +114,7 @@ def test_another_source_address_is_named_and_j1939_accepts_it(tmp_path):
     roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
     accepting = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
     assert len(sprockets_of(accepting, from_source(0x27))) == 50
-    assert accepting.decoder.other_source_message() == ""
+    assert accepting.decoder.other_id_message() == ""
 
 
 def test_ids_of_a_bus_without_roles_are_named(tmp_path):

@@ -10,10 +10,12 @@ import pytest
 from fixtures import unseen_bus
 from fixtures.observer import last_values
 from fixtures.own_node import started
+from fixtures.patience import wait_for
 from fixtures.plugged_devices import MULTICAST
 
 from trackslip_common.nodes.health import OK, WARN
 from trackslip_drivers.nodes.can_driver import CanDriverNode
+from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
 from trackslip_drivers.transports.can_bus import CanBus
 
 
@@ -76,7 +78,7 @@ def of_group(sent, source):
             (0x27,),
             False,
             WARN,
-            "running; no hydraulics and no swing yet, as their frames do not come; check the bus",
+            "running; no hydraulics and no swing: frames 'TravelPorts' (0x182), 'Upper' (0x183) do not come",
         ),
         ((0x27, 0x28), True, WARN, "running; frame 'TravelFlow' comes from source addresses 0x27 and 0x28;"),
     ],
@@ -91,6 +93,7 @@ def test_frames_that_lack_or_have_two_senders_are_named(
         tmp_path, roles, unseen_bus.DBC.replace("BO_ 385", f"BO_ {0x98FF0AFE}")
     )
     with started(CanDriverNode, domain, dbc_file=str(dbc), roles_file=str(roles_file), **can) as node:
+        wait_for(lambda: node.link.state().openings)
         begin_ns = time.monotonic_ns() - 8_000_000_000
         for sent in unseen_bus.frames(begin_ns, begin_ns + 8_000_000_000):
             if ports or len(sent.data) == 4:
@@ -100,3 +103,56 @@ def test_frames_that_lack_or_have_two_senders_are_named(
         (health, *_) = node.health()
         assert health.message.startswith(words)
         assert health.level == level, health.message
+
+
+def as_29_bits(sent):
+    """The frame with the same id in the extended format."""
+    return sent._replace(arbitration_id=sent.arbitration_id & 0x7FF)
+
+
+ABSENT = "frame 'TravelPorts' (0x182) does not come; check the sender and its cable"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda sent, time_s: sent if time_s < 3.0 else None, f"no hydraulics: {ABSENT}"),
+        (
+            lambda sent, _: sent._replace(data=sent.data[:6]),
+            "rejected: wrong length (6 bytes, 8 in the DBC)",
+        ),
+        (
+            lambda sent, _: as_29_bits(sent),
+            "with 29 bits of its id 0x182; the DBC has 11; write BO_ 2147",
+        ),
+    ],
+)
+def test_frame_that_ceases_or_is_not_that_of_the_dbc_is_named_while_others_come(
+    domain, can, tmp_path, change, words
+):
+    """A pressure sensor that failed in the middle of a drive left the driver running without a word."""
+    dbc, roles = unseen_bus.write(tmp_path)
+    with started(CanDriverNode, domain, dbc_file=str(dbc), roles_file=str(roles), **can) as node:
+        begin_ns = time.monotonic_ns() - 10_000_000_000
+        for sent in unseen_bus.frames(begin_ns, begin_ns + 10_000_000_000):
+            is_changed = sent.arbitration_id & 0x7FF == 386
+            frame = change(sent, (sent.stamp_ns - begin_ns) * 1e-9) if is_changed else sent
+            if frame is not None:
+                node.receive((frame.arbitration_id, frame.data), frame.stamp_ns)
+        (health, *_) = node.health()
+        assert health.level == WARN
+        assert words in health.message
+
+
+def test_frame_of_one_side_that_ceases_is_named_as_the_reason_for_no_sprockets(domain, can, tmp_path):
+    """Not the roles file is at fault if the cable of the left encoder breaks."""
+    left = 'BO_ 384 Left: 2 MC\n SG_ L : 0|16@1- (0.01,0) [0|0] "l/min" ECU\nBO_ 1024'
+    roles = unseen_bus.ROLES.replace("TravelFlow.FlowL", "Left.L")
+    dbc, roles_file = unseen_bus.write(tmp_path, roles, unseen_bus.DBC.replace("BO_ 1024", left))
+    with started(CanDriverNode, domain, dbc_file=str(dbc), roles_file=str(roles_file), **can) as node:
+        for sent in unseen_bus.frames(0, 6_000_000_000):
+            if len(sent.data) == 4 and sent.stamp_ns < 3_000_000_000:
+                node.receive((STANDARD_FLAG | 384, sent.data[:2]), sent.stamp_ns)
+            node.receive((sent.arbitration_id, sent.data), sent.stamp_ns)
+        message = node.unusable_data_message()
+        assert message == "no sprockets: frame 'Left' (0x180) does not come; check the sender and its cable"

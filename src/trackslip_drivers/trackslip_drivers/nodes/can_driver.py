@@ -5,6 +5,7 @@
 import errno
 import os
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -28,7 +29,8 @@ from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
 _BODY_FRAME = "base_link"
 _SET_UP = "ip link set {} up type can bitrate 250000 restart-ms 100"  # as in deploy/systemd
-_PATIENCE = 5.0  # s of samples, after which each frame with a role should have come
+_PATIENCE = 5.0  # s of samples, in which each kind of sample should have come
+_FRAME_PATIENCE_NS = 1_000_000_000  # in which each frame should have come
 _MESSAGES = {
     SprocketSample: ("sprockets", conversions.blank_joint_state, conversions.fill_joint_state),
     HydraulicsSample: ("hydraulics", conversions.blank_track_hydraulics, conversions.fill_track_hydraulics),
@@ -65,7 +67,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         self._options = self.settings.bus_options()
         self._can = ExcavatorCan(self.settings, load_frames(self.settings), self.tally)
         self._bus_state = BusState.ACTIVE
-        self._received_kinds: set[type[Sample]] = set()
+        self._published_at: dict[type[Sample], int] = {}  # ``_published`` at the last sample of each kind
         self._outputs: dict[type[Sample], tuple[PackedOutput, Any]] = {}
         frame_id = self.settings.frame_prefix + _BODY_FRAME
         for kind in self._can.kinds:
@@ -99,7 +101,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             return
         sample: Any
         for sample in self._can.receive(*data, steady_ns):
-            self._received_kinds.add(type(sample))
+            self._published_at[type(sample)] = self._published
             output, fill = self._outputs[type(sample)]
             fill(output.message, self.restamp(sample))
             output.publish()
@@ -124,8 +126,9 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         return super().port_remedy(error)
 
     def unusable_data_message(self) -> str:
-        """Reason why no received frame has a role; empty if unknown."""
-        return self._can.decoder.no_role_message()
+        """Reason why no received frame has a role, or which frames do not come; empty if unknown."""
+        decoder = self._can.decoder
+        return decoder.no_role_message() or self._unused_frames_message([self._can.main_kind])
 
     def health(self) -> list[Health]:
         """The link's health, with the state of the bus."""
@@ -135,21 +138,26 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             entries[0].values["bus state"] = self._bus_state.value
             entries[0].values["frames without a role"] = self._can.decoder.frames_without_role
             ambiguous = self._can.decoder.ambiguous_source_message(is_live=True)
-            entries[0].values["another source address"] = (
-                self._can.decoder.other_source_message() or ambiguous
-            )
+            entries[0].values["another id"] = self._can.decoder.other_id_message() or ambiguous
             problem = ambiguous or self._missing_topics_message()
             if problem and entries[0].level in (OK, WARN):
                 entries[0] = replace(entries[0], level=WARN, message=f"{entries[0].message}; {problem}")
         return entries
 
     def _missing_topics_message(self) -> str:
-        """Message about topics with roles whose frames have not come, while others do; empty if all have."""
-        missing = [_MESSAGES[kind][0] for kind in self._outputs.keys() - self._received_kinds]
-        if not missing or self._published * self.period < _PATIENCE:
-            return ""
-        remedy = self._can.decoder.other_source_message() or "check the bus, and the roles file"
-        return f"no {' and no '.join(sorted(missing))} yet, as their frames do not come; {remedy}"
+        """Message about topics that do not come while the main one does; empty if all come."""
+        return self._unused_frames_message(
+            kind
+            for kind in self._can.kinds
+            if (self._published - self._published_at.get(kind, 0)) * self.period >= _PATIENCE
+        )
+
+    def _unused_frames_message(self, kinds: Iterable[type[Sample]]) -> str:
+        """Message about the missing topics of these kinds of samples, and their frames; or empty."""
+        topics = {_MESSAGES[kind][0]: self._can.frames[kind] for kind in kinds}
+        frames = set().union(*topics.values())
+        message = self._can.decoder.unused_frames_message(frames, _FRAME_PATIENCE_NS) if topics else ""
+        return f"no {' and no '.join(sorted(topics))}: {message}" if message else ""
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ counter and checksum of a frame. A frame is matched by its id; a J1939 frame by 
 priority and source address.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 
@@ -35,6 +35,8 @@ _MAX_SENDERS = 256
 _SHOWN_IDS = 8
 _PRESENCE_NS = 5_000_000_000  # since the latest frame of a sender that is present
 _ID_BITS = _EXTENDED - 1
+_DBC_EXTENDED = 1 << 31  # set in a DBC's number of a frame with 29 bits
+_ABSENT_CYCLES = 10  # of a frame, after which it does not come
 
 
 class Rejection(Enum):
@@ -103,11 +105,18 @@ class FrameSet:
             codec = self._by_group.get(_parameter_group(arbitration_id))
         return codec
 
-    def find_other_source(self, arbitration_id: int) -> tuple[str, int] | None:
-        """(name, DBC id) of the frame that differs only by source address or priority; None if none does."""
+    def find_similar(self, arbitration_id: int) -> tuple[str, int] | None:
+        """(name, DBC id) of the frame that differs by format, or by source address and priority; or None."""
+        codec = self._by_id.get(arbitration_id ^ STANDARD_FLAG)
+        if codec is not None:
+            return codec.name, arbitration_id ^ STANDARD_FLAG
         if arbitration_id >= _EXTENDED:
             return None
         return self._by_group_without_j1939.get(_parameter_group(arbitration_id))
+
+    def id_of(self, name: str) -> int:
+        """The id of a frame in the DBC."""
+        return self.by_name[name].frame_id
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame; ``values`` are in the DBC's units.
@@ -145,11 +154,14 @@ class FrameDecoder:
     def __init__(self, frames: FrameSet, tally: Tally) -> None:
         self.frames_without_role = 0
         self.ids_without_role: dict[int, None] = {}  # the first of them, in the transport's format
-        self.other_sources: dict[str, tuple[int, int]] = {}  # frame → its DBC id, and the id received
+        self._similar: dict[str, tuple[int, int]] = {}  # frame → its DBC id, and the id received
         self._has_role = False  # of any frame received, even if rejected
         self._frames = frames
         self._tally = tally
         self._timings: dict[int, FrameTiming] = {}  # by arbitration id
+        self._newest: dict[str, tuple[int, str]] = {}  # frame → its arrival, and why it was rejected
+        self._first_ns: int | None = None  # arrival of the first frame, and of the newest one
+        self._now_ns = 0
 
     def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Sequence[Frame] | Rejection:
         """The frames whose time of sending is known after this one was received: usually this one.
@@ -157,6 +169,9 @@ class FrameDecoder:
         A frame whose time is ambiguous is held until later frames of its id resolve it. A rejection is
         counted and affects neither values nor times.
         """
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        self._now_ns = stamp_ns
         codec = self._frames.find_codec(arbitration_id)
         if codec is None:
             if arbitration_id & ERROR_FLAG and not arbitration_id & STANDARD_FLAG:
@@ -164,7 +179,8 @@ class FrameDecoder:
             return self._count_frame_without_role(arbitration_id)
         self._has_role = True
         if len(data) < codec.length or (codec.is_exact and len(data) > codec.length):
-            return self._reject(codec.name, Rejection.WRONG_LENGTH)
+            detail = f"{len(data)} bytes, {codec.length} in the DBC"
+            return self._reject(codec.name, Rejection.WRONG_LENGTH, detail)
         data = data[: codec.length]  # some senders pad to eight bytes
         little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
         if not codec.has_valid_checksum(arbitration_id, little, big):
@@ -174,29 +190,51 @@ class FrameDecoder:
         values = codec.unpack(little, big)
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
+        self._newest[codec.name] = stamp_ns, ""
         timing = self._timings.get(arbitration_id) or self._add_timing(arbitration_id, codec, stamp_ns)
         return timing.add(codec.counter_value(little, big), stamp_ns, values)
 
     def _count_frame_without_role(self, arbitration_id: int) -> Sequence[Frame]:
-        """Count a frame without a role; note one whose id differs only by source address or priority."""
-        similar = self._frames.find_other_source(arbitration_id)
+        """Count a frame without a role; note one whose id is similar to that of a frame with a role."""
+        similar = self._frames.find_similar(arbitration_id)
         if similar is not None and similar[1] not in self._timings:
             name, own_id = similar
-            self.other_sources[name] = (own_id, arbitration_id)
+            self._similar[name] = (own_id, arbitration_id)
         self.frames_without_role += 1
         if len(self.ids_without_role) < _SHOWN_IDS:
             self.ids_without_role[arbitration_id] = None
         return ()
 
-    def other_source_message(self) -> str:
-        """Message about a frame received only from another source address than the DBC's; or empty."""
-        for name, (own_id, seen_id) in self.other_sources.items():
-            if own_id not in self._timings:
-                seen = f"0x{seen_id:X}, from source address 0x{seen_id & 0xFF:02X}"
-                own = f"0x{own_id:X}, from 0x{own_id & 0xFF:02X}"
-                remedy = "if it is the same frame, set j1939: true of it in the roles file"
-                return f"frame '{name}' comes as {seen}; the DBC has {own}; {remedy}"
+    def other_id_message(self) -> str:
+        """Message about a frame received only with another id than the DBC's; or empty."""
+        for name, (own_id, seen_id) in self._similar.items():
+            if own_id in self._timings:
+                continue
+            if (own_id ^ seen_id) & STANDARD_FLAG:
+                own_bits, seen_bits = (11 if one & STANDARD_FLAG else 29 for one in (own_id, seen_id))
+                entry = seen_id & _ID_BITS | (0 if seen_id & STANDARD_FLAG else _DBC_EXTENDED)
+                seen = f"with {seen_bits} bits of its id 0x{seen_id & _ID_BITS:X}"
+                return f"frame '{name}' comes {seen}; the DBC has {own_bits}; write BO_ {entry} there"
+            seen = f"0x{seen_id:X}, from source address 0x{seen_id & 0xFF:02X}"
+            own = f"0x{own_id:X}, from 0x{own_id & 0xFF:02X}"
+            remedy = "if it is the same frame, set j1939: true of it in the roles file"
+            return f"frame '{name}' comes as {seen}; the DBC has {own}; {remedy}"
         return ""
+
+    def unused_frames_message(self, names: Iterable[str], patience_ns: int) -> str:
+        """Message about those of the frames that do not come, else about one that is rejected; or empty."""
+        absent, rejected, remedy = [], "", "check the sender and its cable"
+        for name in sorted(names):
+            newest_ns, reason = self._newest.get(name, (self._first_ns or self._now_ns, ""))
+            if self._now_ns - newest_ns > patience_ns + _ABSENT_CYCLES * self.cycle_ns(name):
+                absent.append(f"'{name}' (0x{self._frames.id_of(name):X})")
+                remedy = remedy if name in self._newest else "check the sender, and the roles file"
+            elif reason:
+                rejected = f"frame '{name}' is rejected: {reason}; check it against the DBC"
+        if not absent:
+            return rejected
+        frames = f"frame {absent[0]} does" if len(absent) == 1 else f"frames {', '.join(absent)} do"
+        return self.other_id_message() or f"{frames} not come; {remedy}"
 
     def ambiguous_source_message(self, *, is_live: bool = False) -> str:
         """Message about a frame of several senders at a time whose role names none of them; or empty.
@@ -226,7 +264,7 @@ class FrameDecoder:
 
     def no_role_message(self) -> str:
         """Message with the reason why no frame has a role, and the remedy; empty if unknown."""
-        if message := self.other_source_message():
+        if message := self.other_id_message():
             return message
         if not self.ids_without_role or self._has_role:
             return ""
@@ -255,8 +293,10 @@ class FrameDecoder:
         self._timings[arbitration_id] = timing
         return timing
 
-    def _reject(self, source: str, reason: Rejection) -> Rejection:
-        self._tally.add(source, reason)
+    def _reject(self, source: str, reason: Rejection, detail: str = "") -> Rejection:
+        text = f"{reason.value} ({detail})" if detail else reason.value
+        self._newest[source] = self._now_ns, text
+        self._tally.add(source, reason, detail=text if source == BUS else f"frame '{source}': {text}")
         return reason
 
 

@@ -43,7 +43,8 @@ class ExcavatorCan:
     """Decodes the frames of the bus to samples; unused frames are counted in ``tally``.
 
     Attributes:
-        kinds: types of samples that the roles provide.
+        frames: type of a sample that the roles provide → names of the frames that it needs.
+        kinds: the same types.
         main_kind: the type that the driver monitors: sprockets, or the first of the rest.
     """
 
@@ -62,7 +63,8 @@ class ExcavatorCan:
         self._by_frame = {
             name: [output for output in self._outputs if name in output.frames] for name in frames.codecs
         }
-        self.kinds = [output.kind for output in self._outputs]
+        self.frames = {output.kind: set(output.frames) for output in self._outputs}
+        self.kinds = list(self.frames)
         self.main_kind = self.kinds[0]
 
     @property
