@@ -7,21 +7,27 @@ import math
 import os
 import queue
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import Enum
 
 import pytest
+from fixtures.heading_sentences import hdt
 from fixtures.own_node import NoParameters, started
 from fixtures.patience import wait_for
 
-from trackslip_common.nodes.health import ERROR
+from trackslip_common.nodes.health import ERROR, WARN
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.nodes.nmea_gnss import NmeaNode
 from trackslip_drivers.nodes.sick_pls import SickNode
 from trackslip_drivers.nodes.watson_imu import WatsonNode
 from trackslip_drivers.protocols import watson
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, rmc
 from trackslip_drivers.protocols.sick_telegram import TelegramFault
 from trackslip_drivers.stamping import StampEvent
+
+DRIVE_NS = 12_000_000_000
+Encoder = Callable[[Position], bytes]
+POSITION = Position(0, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 120.0, 0.2, 1.0, 10.0)
 
 
 class QueuePort:
@@ -171,3 +177,42 @@ def test_port_without_permission_names_the_group(driver):
     assert driver.health()[0].message.endswith(
         "not connected (Permission denied); add this user to the group of the port (dialout)"
     )
+
+
+@pytest.fixture
+def receiver(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[NmeaNode]:
+    """The driver of a receiver on an empty line."""
+    monkeypatch.setattr(NmeaNode, "open_port", lambda _: QueuePort())
+    with started(NmeaNode, domain) as node:
+        wait_for(lambda: node.link.state().openings)
+        yield node
+
+
+def drive_until_missing(node: NmeaNode, missing: Encoder, *others: Encoder) -> None:
+    """Feed 12 s of sentences at 10 Hz; those of ``missing`` cease after 3 s."""
+    begin_ns = time.monotonic_ns() - DRIVE_NS
+    for elapsed_ns in range(0, DRIVE_NS, 100_000_000):
+        at = POSITION._replace(time_ns=3_600_000_000_000 + elapsed_ns)
+        present = others if elapsed_ns > 3_000_000_000 else (missing, *others)
+        node.receive(b"".join(encode(at) for encode in present), begin_ns + elapsed_ns)
+
+
+def test_receiver_that_sends_no_position_any_more_is_told_from_a_wrong_rate(receiver: NmeaNode) -> None:
+    drive_until_missing(receiver, gga, rmc, hdt)
+    assert "(HDT, RMC), but no GGA" in receiver.unusable_data_message()
+
+
+@pytest.mark.parametrize(
+    ("missing", "others", "words"),
+    [
+        (hdt, (gga, rmc), "; no heading any more; check the second antenna"),
+        (rmc, (gga, hdt), "; no fix_velocity any more; check"),
+    ],
+)
+def test_heading_or_velocity_that_ceases_while_fixes_come_is_a_warning(
+    receiver: NmeaNode, missing: Encoder, others: tuple[Encoder, ...], words: str
+) -> None:
+    """A receiver that lost its second antenna left the driver running without a word."""
+    drive_until_missing(receiver, missing, *others)
+    (health, *_) = receiver.health()
+    assert (health.level, words in health.message) == (WARN, True)

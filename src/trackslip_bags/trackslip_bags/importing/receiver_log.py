@@ -76,8 +76,8 @@ def read_receiver_logs(
     notes += [f"{names}: {n} × {reason}" for why in tally.by_source().values() for reason, n in why.items()]
     if count := stream.duplicates_of_same_kind:
         notes.append(f"{names}: {count} × another of one kind in an epoch; accepted: one (as often as GGA)")
-    kinds = f"kinds that come: {', '.join(stream.kinds) or 'none'}"
-    if stream.kinds and not POSITIONS & set(stream.kinds):
+    kinds = f"kinds that come: {', '.join(stream.all_kinds) or 'none'}"
+    if stream.all_kinds and not POSITIONS & set(stream.all_kinds):
         kinds += f"; {NO_POSITION}"
         notes.append(f"{names}: no position; {kinds}")
     if samples and all(message.time_ns is None for message in messages):
@@ -94,7 +94,7 @@ def read_receiver_logs(
         yaw, stddev = np.array([(one.yaw, one.stddev) for one in directions]).T
         all_samples.append(_samples("heading", directions, {"yaw": yaw}, {"yaw": stddev**2}, section, names))
     if not all_samples:
-        reasons = "; ".join([*notes, kinds] if POSITIONS & set(stream.kinds) else notes or [kinds])
+        reasons = "; ".join([*notes, kinds] if POSITIONS & set(stream.all_kinds) else notes or [kinds])
         raise InputError(f"{section.where}: {names}: no position and no heading ({reasons})")
     return all_samples, notes
 

@@ -22,14 +22,13 @@ from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, Rejection, l
 from trackslip_drivers.protocols.can_timing import TimingEvent
 from trackslip_drivers.protocols.canopen import START_ALL, start_command
 from trackslip_drivers.protocols.encoder import EncoderEvent
-from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.stamping import StampEvent
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
 _BODY_FRAME = "base_link"
 _SET_UP = "ip link set {} up type can bitrate 250000 restart-ms 100"  # as in deploy/systemd
-_PATIENCE = 5.0  # s of samples, in which each kind of sample should have come
 _FRAME_PATIENCE_NS = 1_000_000_000  # in which each frame should have come
 _MESSAGES = {
     SprocketSample: ("sprockets", conversions.blank_joint_state, conversions.fill_joint_state),
@@ -67,8 +66,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         self._options = self.settings.bus_options()
         self._can = ExcavatorCan(self.settings, load_frames(self.settings), self.tally)
         self._bus_state = BusState.ACTIVE
-        self._published_at: dict[type[Sample], int] = {}  # ``_published`` at the last sample of each kind
-        self._outputs: dict[type[Sample], tuple[PackedOutput, Any]] = {}
+        self._outputs: dict[type, tuple[PackedOutput, Any]] = {}
         frame_id = self.settings.frame_prefix + _BODY_FRAME
         for kind in self._can.kinds:
             topic, blank, fill = _MESSAGES[kind]
@@ -101,7 +99,6 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             return
         sample: Any
         for sample in self._can.receive(*data, steady_ns):
-            self._published_at[type(sample)] = self._published
             output, fill = self._outputs[type(sample)]
             fill(output.message, self.restamp(sample))
             output.publish()
@@ -139,20 +136,12 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             entries[0].values["frames without a role"] = self._can.decoder.frames_without_role
             ambiguous = self._can.decoder.ambiguous_source_message(is_live=True)
             entries[0].values["another id"] = self._can.decoder.other_id_message() or ambiguous
-            problem = ambiguous or self._missing_topics_message()
+            problem = ambiguous or self._unused_frames_message(self.missing_kinds(self._can.kinds))
             if problem and entries[0].level in (OK, WARN):
                 entries[0] = replace(entries[0], level=WARN, message=f"{entries[0].message}; {problem}")
         return entries
 
-    def _missing_topics_message(self) -> str:
-        """Message about topics that do not come while the main one does; empty if all come."""
-        return self._unused_frames_message(
-            kind
-            for kind in self._can.kinds
-            if (self._published - self._published_at.get(kind, 0)) * self.period >= _PATIENCE
-        )
-
-    def _unused_frames_message(self, kinds: Iterable[type[Sample]]) -> str:
+    def _unused_frames_message(self, kinds: Iterable[type]) -> str:
         """Message about the missing topics of these kinds of samples, and their frames; or empty."""
         topics = {_MESSAGES[kind][0]: self._can.frames[kind] for kind in kinds}
         frames = set().union(*topics.values())

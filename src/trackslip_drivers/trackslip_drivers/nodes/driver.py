@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
@@ -37,6 +37,7 @@ _SILENCE_LIMIT = 5.0  # s without data, after which ``unusable_data_message`` is
 _SLOW_SHARE = 0.8  # of the limit of silence: messages that come at longer intervals come too slowly
 _LONGEST_INTERVAL = 10.0  # s between messages of a device that sends at all
 _SETTLING_TIME = 1.0  # s beyond the limit in which unusable data are only a warning
+_PATIENCE = 5.0  # s of messages, in which each kind of sample should have come
 _RATE_INTERVAL = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
 PORT_REMEDY = "check serial_baud, parity, and that the device is on this port (/dev/serial/by-id)"
@@ -88,6 +89,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     def configure(self) -> None:
         """Reset the counters, and start the check of the link's condition."""
         self._published = 0
+        self._published_at: dict[type, int] = {}  # ``_published`` at the last sample of each kind
         self._rate = 0.0
         self._rate_start = (time.monotonic(), 0)
         self._last_s = -math.inf
@@ -149,6 +151,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
 
     def restamp(self, sample: S) -> S:
         """Stamp a sample for publishing: on the host's clock, later than the previous one."""
+        self._published_at[type(sample)] = self._published
         host_ns = self._host.stamp(sample.stamp_ns)
         stamp_ns = self._order[type(sample)].next_stamp(host_ns)
         if stamp_ns != host_ns:
@@ -160,6 +163,14 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         self._published += 1
         before_s, self._last_s = self._last_s, time.monotonic()
         self._intervals = self._intervals[1], self._last_s - before_s
+
+    def missing_kinds(self, kinds: Iterable[type]) -> list[type]:
+        """Those kinds of samples of which none has come recently, while messages have."""
+        return [
+            kind
+            for kind in kinds
+            if (self._published - self._published_at.get(kind, 0)) * self.period >= _PATIENCE
+        ]
 
     def health(self) -> list[Health]:
         """Connection, rate, age, rejections."""

@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -27,7 +28,7 @@ from trackslip_drivers.protocols.nmea_stream import (
     NmeaStream,
     Sample,
 )
-from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
+from trackslip_drivers.records import FixSample, FixStatus, HeadingSample, VelocitySample
 from trackslip_drivers.transports.ntrip import MAX_RATE, STALL_S, NtripClient, read_credentials
 
 _TRANSIENT = [
@@ -35,6 +36,10 @@ _TRANSIENT = [
     for reason in (Rejection.NO_FIX, Rejection.WARNING, Rejection.DEAD_RECKONING, Rejection.NOT_MEASURED)
 ]
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
+_MISSING = {
+    HeadingSample: f"no {HEADING} any more; check the second antenna, and the receiver's HDT, THS or PASHR",
+    VelocitySample: f"no {VELOCITY} any more; check that the receiver sends RMC, VTG or NAV-PVT",
+}
 _POSITION_AGE = 10.0  # s, of a fix whose position is sent to the caster
 
 
@@ -106,6 +111,9 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
     def health(self) -> list[Health]:
         """The driver's health, with latency and counters of the stream; and that of the corrections."""
         (entry, *others) = super().health()
+        missing = [_MISSING[kind] for kind in self.missing_kinds(_MISSING.keys() & self._published_at.keys())]
+        if missing and entry.level in (OK, WARN):
+            entry = replace(entry, level=WARN, message="; ".join([entry.message, *sorted(missing)]))
         entry.values["latency (s)"] = f"{self._stream.latency_ns * 1e-9:.3f}"
         entry.values["unused sentences"] = self._stream.unused_sentences
         entry.values["duplicate measurements"] = self._stream.duplicates

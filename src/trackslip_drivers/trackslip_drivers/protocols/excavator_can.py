@@ -63,8 +63,8 @@ class ExcavatorCan:
         self._by_frame = {
             name: [output for output in self._outputs if name in output.frames] for name in frames.codecs
         }
-        self.frames = {output.kind: set(output.frames) for output in self._outputs}
-        self.kinds = list(self.frames)
+        self.frames: dict[type, set[str]] = {output.kind: set(output.frames) for output in self._outputs}
+        self.kinds = [output.kind for output in self._outputs]
         self.main_kind = self.kinds[0]
 
     @property

@@ -56,7 +56,7 @@ _MIN_AGE_NS, _MAX_AGE_NS = -50_000_000, 1_000_000_000  # bounds on a sentence's 
 
 _MAX_KINDS = 64  # kinds of sentences that are distinguished
 _ACCURACY_RANK = 2  # rank of a position that states its accuracy
-_RECENT_NS = 10_000_000_000
+_RECENT_NS = 2_000_000_000  # or two periods
 _HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
 _TOPICS = {**dict.fromkeys(_HEADINGS, HEADING), "VTG": VELOCITY}
 
@@ -87,6 +87,7 @@ class NmeaStream:
         self.latency_ns = 0  # from the latest epoch to the first byte of its sentence
         self._p = p
         self._latency_ns = round(p.latency * 1e9)
+        self._recent_ns = max(_RECENT_NS, round(2e9 / p.rate))
         self._gst_quality: int | None = None  # of the fix of the latest GST
         self._utc = utc
         self._frames = FrameSplitter(0 if "://" in p.serial_port else p.serial_baud)
@@ -112,10 +113,15 @@ class NmeaStream:
         return sum(source.duplicates_of_same_kind for source in self._sources)
 
     @property
+    def all_kinds(self) -> list[str]:
+        """Kinds of complete sentences received."""
+        return sorted(self._kinds)
+
+    @property
     def kinds(self) -> list[str]:
-        """Kinds of complete sentences received recently."""
+        """Those of them received recently."""
         latest_ns = self._burst_end_ns or 0
-        return sorted(kind for kind, ended_ns in self._kinds.items() if latest_ns - ended_ns <= _RECENT_NS)
+        return [kind for kind in self.all_kinds if latest_ns - self._kinds[kind] <= self._recent_ns]
 
     def reset(self) -> None:
         """Drop incomplete messages and all memory of earlier ones: the port was reopened."""
