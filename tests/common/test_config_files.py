@@ -18,7 +18,7 @@ from trackslip_common.config_files import (
     read_yaml,
 )
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.parameters import names_in_shared_sections
+from trackslip_common.nodes.parameters import names_in_shared_sections, unapplied_sections
 from trackslip_common.parameters import Parameters, flatten, to_flat
 from trackslip_drivers import can_parameters
 from trackslip_drivers.sick_parameters import SickParameters
@@ -134,3 +134,34 @@ def test_later_layers_override_earlier_ones_and_defaults() -> None:
     )
     assert (p.jump_confirmations, p.start) == (8, "initial_pose")
     assert p.vehicle.kinematics.tread == 0.73
+
+
+@pytest.mark.parametrize(
+    ("text", "node", "section"),
+    [
+        ("can_drivr: {ros__parameters: {a: 1}}", "/can_driver", "/can_drivr"),
+        ("can_driver: {ros__parameters: {a: 1}}", "/one/can_driver", "/can_driver"),
+        (
+            "{/**: {ros__parameters: {a: 1}}, can_drivr: {ros__parameters: {}}}",
+            "/can_driver",
+            "/can_drivr",
+        ),
+        ("two: {can_driver: {ros__parameters: {a: 1}}}", "/one/can_driver", "/two/can_driver"),
+        ("can_driver: {ros__parameters: {a: 1}}", "/can_driver", ""),
+        ("/**/can_driver: {ros__parameters: {a: 1}}", "/can_driver", ""),
+        ("/**/can_driver: {ros__parameters: {a: 1}}", "/one/can_driver", ""),
+        ("one: {can_driver: {ros__parameters: {a: 1}}}", "/one/can_driver", ""),
+        ("/**: {ros__parameters: {a: 1}}", "/can_driver", ""),
+        ("slip_estimator: {ros__parameters: {a: 1}}", "/soil_estimator", ""),
+        ("robot_driver: {ros__parameters: {a: 1}}", "/can_driver", ""),
+    ],
+)
+def test_section_that_ros_does_not_apply_to_the_node_it_is_meant_for_is_named(
+    tmp_path: Path, text: str, node: str, section: str
+) -> None:
+    """The node would start with its defaults, without a word."""
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    notes = unapplied_sections(["--ros-args", "--params-file", str(file)], node)
+    expected = f"{file}: section {section} is ignored: this node is {node}; name it so, if it is meant"
+    assert notes == ([expected] if section else [])

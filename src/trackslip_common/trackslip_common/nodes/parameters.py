@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's parameters: from ``config/`` and the user's overrides to a frozen record, and on to ROS."""
 
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +14,7 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from trackslip_common.config_files import ROS_PARAMETERS, node_defaults, read_yaml
+from trackslip_common.config_files import ROS_PARAMETERS, config_directory, node_defaults, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameter_spec import Spec
 from trackslip_common.parameters import (
@@ -27,6 +28,8 @@ from trackslip_common.parameters import (
 )
 
 P = TypeVar("P", bound=Parameters)
+
+_SIMILARITY = 0.8  # of the names of a section and of the node that it is meant for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +58,8 @@ def read_overrides(
     }
     for key in overrides:
         node.undeclare_parameter(key)
+    for note in unapplied_sections(sys.argv, node.get_fully_qualified_name()):
+        node.get_logger().warning(note)
     shared = to_flat(common)
     shared |= {key: overrides.pop(key) for key in shared.keys() & overrides.keys()}
     name, defaults = node.get_name(), node_defaults(what, *default_files)
@@ -71,13 +76,54 @@ def read_overrides(
 
 def names_in_shared_sections(arguments: Sequence[str]) -> frozenset[str]:
     """Dotted names in sections such as ``/**`` of the parameter files of a command line."""
-    files = [file for flag, file in pairwise(arguments) if flag == "--params-file"]
     names: set[str] = set()
-    for file in files:
-        with suppress(InputError):  # rcl has read or rejected the file
-            sections = [body for name, body in read_yaml(Path(file)).items() if "*" in str(name)]
-            names.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
+    for _, tree in _parameter_files(arguments):
+        sections = [body for name, body in tree.items() if "*" in str(name)]
+        names.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
     return frozenset(names)
+
+
+def unapplied_sections(arguments: Sequence[str], node: str) -> list[str]:
+    """A line for each parameter file that seems to have a section for this node, which ROS does not apply.
+
+    ROS ignores such a section without a word: it is of another namespace, or its name is misspelled.
+    ``node``: fully qualified name.
+    """
+    from difflib import get_close_matches  # seldom needed elsewhere
+
+    known = {path.stem for path in config_directory().glob("*.yaml")}
+    own, notes = node.rpartition("/")[2], []
+    for file, tree in _parameter_files(arguments):
+        names = {path.rpartition("/")[2]: path for path in _section_paths(tree)}
+        if any(_applies(path, node) for name, path in names.items() if "*" not in name):
+            continue
+        others = [name for name in names if name == own or name not in known]
+        if similar := get_close_matches(own, others, n=1, cutoff=_SIMILARITY):
+            fault = f"section {names[similar[0]]} is ignored: this node is {node}"
+            notes.append(f"{file}: {fault}; name it so, if it is meant")
+    return notes
+
+
+def _parameter_files(arguments: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The parameter files of a command line, with their contents."""
+    for flag, file in pairwise(arguments):
+        if flag == "--params-file":
+            with suppress(InputError):  # rcl has read or rejected the file
+                yield file, read_yaml(Path(file))
+
+
+def _section_paths(tree: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    """Full names of the sections of a parameter file, whose namespaces may be nested."""
+    for name, body in tree.items():
+        path = f"{above}/{str(name).strip('/')}"
+        if isinstance(body, Mapping):
+            yield from [path] if "ros__parameters" in body else _section_paths(body, path)
+
+
+def _applies(path: str, node: str) -> bool:
+    """Whether ROS applies the section of this full name to a node; ** stands for any namespaces."""
+    pattern = re.escape(path).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
+    return re.fullmatch(pattern, node) is not None
 
 
 def declare_parameters(node: Node, record: Parameters) -> None:
