@@ -22,7 +22,7 @@ from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, Rejection, l
 from trackslip_drivers.protocols.can_timing import TimingEvent
 from trackslip_drivers.protocols.canopen import START_ALL, start_command
 from trackslip_drivers.protocols.encoder import EncoderEvent
-from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan, PairingRejection
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.stamping import StampEvent
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
@@ -46,6 +46,9 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         {
             Rejection.ERROR_FRAME.value: "check wiring, terminators and bitrate",
             TimingEvent.ALIVE_REPEATED.value: "check its sender, and for another sender of the same id",
+            TimingEvent.LOST.value: "check the wiring, the load of the bus, and that of this computer",
+            TimingEvent.BURST.value: "check its sender, and for another sender of the same id",
+            PairingRejection.TOO_OLD.value: "check the sender of the other frame, and pairing_timeout",
             EncoderEvent.JUMP.value: "check the encoder, and for another sender of the same id",
         }
     )

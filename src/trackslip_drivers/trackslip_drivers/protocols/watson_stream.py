@@ -64,7 +64,7 @@ class WatsonStream:
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
         """The samples completed by one read (which may be empty); its last byte arrived by ``arrival_ns``."""
         if self._backlog.is_backlog(self._received.transfer_ns(len(data)), arrival_ns):
-            self.tally.add(IMU, StampEvent.DELAYED, len(data))
+            self.tally.add(IMU, StampEvent.DELAYED, data.count(TERMINATOR))
             self._drop_line()
             return []
         self._received.append(data, arrival_ns)
