@@ -27,6 +27,6 @@ def test_new_reason_is_reported_within_seconds() -> None:
 
 
 def test_rejection_replaces_an_event_at_once() -> None:
-    reason, event = FrequentReason(), ("stamps", STAMP_EVENTS[0])
+    reason, event = FrequentReason(), ("stamps", min(STAMP_EVENTS))
     assert reason.update({event: 2}, 0.0) == event
     assert reason.update({CHECKSUM: 2}, 0.1) == CHECKSUM

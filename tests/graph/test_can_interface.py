@@ -21,6 +21,7 @@ SOCKETCAN = {"can_interface": "socketcan", "can_channel": "can7"}
 @pytest.mark.parametrize(
     ("number", "remedy"),
     [
+        (errno.EAFNOSUPPORT, "load CAN into the kernel: modprobe can_raw"),
         (errno.ENODEV, "(No such device); check the adapter and can_channel: ip link does not list can7"),
         (errno.ENETDOWN, "(Network is down); set it up, with the bitrate of the bus: ip link set can7 up "),
     ],

@@ -197,6 +197,22 @@ def drive_until_missing(node: NmeaNode, missing: Encoder, *others: Encoder) -> N
         node.receive(b"".join(encode(at) for encode in present), begin_ns + elapsed_ns)
 
 
+def test_stamps_of_a_host_that_is_not_on_utc_are_no_rejections(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All fixes are used, and a wrong checksum among them is the reason that counts."""
+    monkeypatch.setattr(NmeaNode, "open_port", lambda _: QueuePort())
+    with started(NmeaNode, domain, host_clock_is_utc=True) as node:
+        wait_for(lambda: node.link.state().openings)
+        now_ns = time.monotonic_ns()
+        late = POSITION._replace(time_ns=(time.time_ns() - 3_600_000_000_000) % 86_400_000_000_000)
+        node.receive(gga(late), now_ns)
+        event = "running; receiver's clock: not the host's UTC: latency assumed; keep this computer on UTC"
+        assert node.health()[0].message.startswith(event)
+        node.receive(gga(late)[:-4] + b"\r\n", now_ns + 100_000_000)
+        assert node.health()[0].message.startswith("running; some is rejected: ")
+
+
 def test_receiver_that_sends_no_position_any_more_is_told_from_a_wrong_rate(receiver: NmeaNode) -> None:
     drive_until_missing(receiver, gga, rmc, hdt)
     assert "(HDT, RMC), but no GGA" in receiver.unusable_data_message()

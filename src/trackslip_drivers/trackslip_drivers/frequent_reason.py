@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from trackslip_drivers.stamping import StampEvent
 
-STAMP_EVENTS = (StampEvent.SHIFTED.value, StampEvent.CLOCK_JUMPED.value)  # these reject nothing
+STAMP_EVENTS = frozenset((StampEvent.SHIFTED.value, StampEvent.CLOCK_JUMPED.value))
 
 Key = tuple[str, str]  # source, reason
 
@@ -19,10 +19,11 @@ class FrequentReason:
     """The most frequent reason of the latest seconds.
 
     Another reason replaces it only if it is clearly more frequent: noise on a line is one state, and not a
-    new one each second. Any reason replaces an event that rejects nothing.
+    new one each second. Any reason replaces an event that rejects nothing, one of ``events``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, events: frozenset[str] = STAMP_EVENTS) -> None:
+        self._events = events
         self._key: Key = ("", "")
         self._weights: dict[Key, float] = {}
         self._updated_s = -math.inf
@@ -34,7 +35,7 @@ class FrequentReason:
         self._weights = decayed | {key: decayed.get(key, 0.0) + count for key, count in counts.items()}
         self._updated_s = now_s
         best = max(self._weights, key=lambda key: self._weights[key])
-        own_weight = 0.0 if self._key[1] in STAMP_EVENTS else self._weights.get(self._key, 0.0)
+        own_weight = 0.0 if self._key[1] in self._events else self._weights.get(self._key, 0.0)
         if _REPLACING_RATIO * own_weight <= self._weights[best]:
             self._key = best
         return self._key

@@ -16,6 +16,7 @@ from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
+from trackslip_drivers.frequent_reason import STAMP_EVENTS
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, Rejection, load_frames
@@ -52,6 +53,9 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             EncoderEvent.JUMP.value: "check the encoder, and for another sender of the same id",
         }
     )
+    events = STAMP_EVENTS | {
+        one.value for one in (TimingEvent.LOST, EncoderEvent.RESTARTED, EncoderEvent.DISTANCE_UNKNOWN)
+    }
     period = 0.01
     silence = 2.0
     realtime_priority = 10  # a message takes 0.5 ms, and odometry starts with it
@@ -119,6 +123,8 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             return super().port_remedy(error)
         if error == os.strerror(errno.ENODEV):
             return f"check the adapter and can_channel: ip link does not list {channel}"
+        if error == os.strerror(errno.EAFNOSUPPORT):
+            return "load CAN into the kernel: modprobe can_raw"
         if error == os.strerror(errno.ENETDOWN):
             return f"set it up, with the bitrate of the bus: {_SET_UP.format(channel)}"
         if self._bus_state is BusState.OFF:

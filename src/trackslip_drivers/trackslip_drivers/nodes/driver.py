@@ -83,6 +83,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
     format_advice = "check rate and format"  # if no data are usable
     remedies: Mapping[str, str] = MappingProxyType({})  # by reason of a rejection
     transient_reasons: frozenset[str] = frozenset()  # no faults of the link
+    events: frozenset[str] = STAMP_EVENTS  # reasons that reject nothing
     period = 1.0  # s between messages in normal operation
     silence = math.inf  # s without a byte or frame after which the port is reopened
 
@@ -96,7 +97,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         self._intervals = (math.inf, math.inf)  # s, between the latest three messages
         self._link: Link[D] | None = None
         self._reported: bytes | None = None  # level
-        self._reasons = FrequentReason()
+        self._reasons = FrequentReason(self.events)
         self._rejected = _Rejected()
         self.create_timer(
             _CHECK_PERIOD, self._publish_health_on_change, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -177,7 +178,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         state, now_s = self.link.state(), time.monotonic()
         if counts := self.tally.new_counts():
             key = self._reasons.update(counts, now_s)
-            is_event = key[1] in STAMP_EVENTS
+            is_event = key[1] in self.events
             text = ": ".join(key) if is_event else self.tally.detail_or_reason(key)
             self._rejected = _Rejected(text, key[1], is_event, now_s, utc_date(time.time()))
         start_s, start_count = self._rate_start
@@ -235,7 +236,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         is_recent = now_s - rejected_s < REPORT_TIME
         if now_s - self._last_s <= limit_s:
             remedy = f"; {self.remedies[reason]}" if reason in self.remedies else ""
-            fault = text if is_event else f"some is rejected: {text}{remedy}"
+            fault = f"{'' if is_event else 'some is rejected: '}{text}{remedy}"
             return (WARN, f"running; {fault}") if is_recent else (OK, "running")
         if not self._published and state.connected and state.openings == 1 and is_new:
             return WARN, f"{where}: opened, no data yet"

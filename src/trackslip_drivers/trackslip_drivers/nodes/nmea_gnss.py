@@ -14,6 +14,7 @@ from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
+from trackslip_drivers.frequent_reason import STAMP_EVENTS
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.nodes.driver import SerialDriverNode
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, Rejection
@@ -56,10 +57,12 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
             Rejection.NO_CHECKSUM.value: "switch checksums on at the receiver",
             Rejection.CHECKSUM.value: "check the cable and serial_baud",
             Rejection.NO_PAIR.value: "set up the base as a moving base",
+            ClockEvent.NOT_UTC.value: "keep this computer on UTC, or set host_clock_is_utc: false",
             ClockEvent.UNCHANGED.value: "restart the receiver",
             ClockEvent.REPEATED.value: "let the receiver send fractions of seconds, and each sentence once",
         }
     )
+    events = STAMP_EVENTS | {ClockEvent.NOT_UTC.value}
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix
 
     def __init__(self) -> None:
