@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorder that is deactivated and activated again starts another bag without the previous state."""
 
+import errno
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +14,7 @@ from fixtures.own_node import started
 
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_bags.reader import open_bag
-from trackslip_common.nodes.health import OK, WARN
+from trackslip_common.nodes.health import ERROR, OK, WARN
 
 
 @pytest.fixture
@@ -29,6 +31,10 @@ def reactivate(node: RecordNode) -> None:
 def receive(node: RecordNode, number: int, **info: Any) -> None:
     about = {"received_timestamp": number, "source_timestamp": number, "publication_sequence_number": number}
     node._write("/topic", "std_msgs/msg/String", b"\0\1\0\0\1\0\0\0\0", about | info)
+
+
+def no_space(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_activated_again_with_output_set_it_writes_to_a_new_directory(
@@ -82,3 +88,25 @@ def test_a_disk_that_fills_is_reported_an_hour_ahead(
     assert health.level == level
     assert health.values["disk full in (min)"] == minutes
     assert health.message.startswith(f"the disk is full in {minutes} min") == (level == WARN)
+
+
+def test_another_bag_begins_once_a_full_disk_can_be_written_again(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that was full for a minute does not cost the rest of the day; what was lost stays reported."""
+    monkeypatch.setattr("trackslip_bags.nodes.record._RETRY_PERIOD", 0.0)
+    with started(RecordNode, domain, output=str(tmp_path / "bag")) as node:
+        with monkeypatch.context() as full:
+            full.setattr(node._recording.bag, "flush", no_space)
+            full.setattr("trackslip_bags.writer.FileIO", no_space)
+            receive(node, 1)
+            node._save()
+            assert node.health()[0].message.startswith("cannot write (No space left on device)")
+            assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+        node._save()
+        receive(node, 2)
+        health = node.health()[0]
+        assert (health.level, health.message) == (ERROR, f"messages were lost: {tmp_path / 'bag_2'}")
+    assert node.has_failed
+    with open_bag(tmp_path / "bag_2") as bag:
+        assert bag.topics["/topic"].count == 1

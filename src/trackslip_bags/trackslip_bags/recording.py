@@ -115,14 +115,19 @@ class Recording:
 
     After the first disk error nothing more is written; the file stays readable, ``disk_error`` is the reason.
 
+    Args:
+        settings: of the recorder.
+        log: logger.
+        losses: those of the bag before, which this one continues.
+
     Raises:
         InputError: the requested name is in use by other files, or the directory cannot be created.
     """
 
-    def __init__(self, settings: RecordParameters, log: Log) -> None:
+    def __init__(self, settings: RecordParameters, log: Log, losses: Losses | None = None) -> None:
         self._settings, self._log = settings, log
         self.bag = _next_bag(settings)
-        self.losses, self.disk_error = Losses(), ""
+        self.losses, self.disk_error = losses or Losses(), ""
         self._log_times, self._disk_watch = LogTimes(), DiskWatch()
         self._progress = RecordProgress(self.bag, log.info)
         self._disk, self._saving = ThreadPoolExecutor(1), _finished_future()
@@ -198,7 +203,7 @@ class Recording:
             work()
         except OSError as error:
             self.disk_error = f"cannot write ({error.strerror})"
-            self._log.error(f"{self.disk_error}: further messages are lost until the recorder starts again")
+            self._log.error(f"{self.disk_error}: further messages are lost until another bag can be written")
             for topic, count in self.bag.unsaved.items():
                 self.losses.add(topic, count)
             self.bag.abandon()

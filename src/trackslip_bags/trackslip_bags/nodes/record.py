@@ -6,19 +6,21 @@ import re
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 
 from trackslip_bags.nodes.subscriptions import RawSubscriptions
-from trackslip_bags.recording import Recording, RecordParameters
+from trackslip_bags.recording import Losses, Recording, RecordParameters
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_common.nodes.run import run
 
 _SAVE_PERIOD = 0.5  # s
+_RETRY_PERIOD = 30.0  # s between attempts to begin another bag after a disk error
 _SHORT_MINUTES = 60.0  # until the disk is full, below which a warning is given
 _REPAIR = 0.4  # s for the repair of lost messages: twice the heartbeat period in config/fast*.xml
 _LONGEST_DRAIN = 1.5  # s
@@ -47,7 +49,14 @@ class RecordNode(TrackslipNode[RecordParameters]):
 
     def activate(self) -> None:
         """Open the bag and subscribe."""
-        self._recording = Recording(self.settings, self.get_logger())
+        self._begin_bag(None)
+
+    def _begin_bag(self, losses: Losses | None) -> None:
+        """Open a bag and subscribe, in place of the present bag, with the losses before it."""
+        recording = Recording(self.settings, self.get_logger(), losses)
+        self._begun_s = time.monotonic()
+        self.deactivate()
+        self._recording = recording
         self._raw_subscriptions = RawSubscriptions(self, self._recording.bag, self._more_topics, self._write)
 
     def deactivate(self) -> None:
@@ -108,9 +117,14 @@ class RecordNode(TrackslipNode[RecordParameters]):
 
     def _save(self) -> None:
         """Twice a second: find new topics, flush to the disk, report losses."""
-        if self.active and self._recording is not None:
-            self._raw_subscriptions.discover()
-            self._recording.save()
+        if not self.active or self._recording is None:
+            return
+        self._raw_subscriptions.discover()
+        self._recording.save()
+        if self._recording.disk_error and time.monotonic() - self._begun_s > _RETRY_PERIOD:
+            self._begun_s = time.monotonic()
+            with suppress(InputError):  # the disk is still full, or gone
+                self._begin_bag(self._recording.losses)
 
 
 def record(argv: Sequence[str] | None = None) -> int:
