@@ -307,6 +307,15 @@ def test_bus_that_cannot_be_opened_is_an_error_and_nothing_else(caplog):
     assert caplog.messages == []
 
 
+def test_gateway_that_refuses_the_connection_is_an_error_at_once_without_log_lines(caplog):
+    """python-can tried again for 10 s without a pause, with 70 000 lines a second."""
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        with pytest.raises(ConnectionRefusedError):
+            CanBus("socketcand", "can0", {"host": "127.0.0.1", "port": closed.getsockname()[1]})
+    assert caplog.messages == []
+
+
 def test_link_stops_while_its_port_keeps_receiving(received, start_link):
     class Flood(BrokenPort):
         def read(self):

@@ -4,6 +4,7 @@
 
 import errno
 import os
+import socket
 
 import can as python_can
 import pytest
@@ -59,3 +60,17 @@ def test_bus_off_is_named_with_its_remedy_until_frames_come_again(domain, monkey
         )
         send(0x12345, False)
         wait_for(lambda: "bus off" not in node.health()[0].message)
+
+
+def test_gateway_that_cannot_be_reached_has_its_own_remedy(domain):
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        gateway = {
+            "can_interface": "socketcand",
+            "can_host": "127.0.0.1",
+            "can_port": closed.getsockname()[1],
+        }
+        with started(CanDriverNode, domain, **gateway) as node:
+            wait_for(lambda: node.link.state().errors)
+            message = node.health()[0].message
+    assert "(Connection refused); check can_host and can_port, and that socketcand runs there" in message

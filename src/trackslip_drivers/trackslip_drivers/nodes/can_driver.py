@@ -119,6 +119,8 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
     def port_remedy(self, error: str = "") -> str:
         """Remedy for the state of the controller or the interface; Linux restarts neither by itself."""
         channel = self.settings.can_channel
+        if self.settings.can_interface == "socketcand" and error:
+            return "check can_host and can_port, and that socketcand runs there"
         if self.settings.can_interface != "socketcan":
             return super().port_remedy(error)
         if error == os.strerror(errno.ENODEV):

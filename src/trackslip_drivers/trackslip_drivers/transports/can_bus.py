@@ -21,9 +21,10 @@ CanFrame = tuple[int, bytes]  # (arbitration id, payload); flags in the id for a
 REMOTE_FLAG = 1 << 30
 
 _SEND_TIMEOUT_S = 0.1
+_CONNECT_TIMEOUT_S = 2.0
 _CLASSIC_BYTES = 8
 
-logging.getLogger("can.bus").setLevel(logging.ERROR)  # else it warns of buses that did not open
+logging.getLogger("can").setLevel(logging.ERROR)  # else it warns of buses that did not open
 
 
 class CanBus:
@@ -43,6 +44,8 @@ class CanBus:
         self.note = f"{channel}: ip link sets the bitrate, not python-can" if is_system else ""
         self._is_off = False
         self._is_text = interface == "slcan"
+        if interface == "socketcand" and "host" in options:  # python-can tries for 10 s without a pause
+            socket.create_connection((options["host"], options["port"]), _CONNECT_TIMEOUT_S).close()
         self._bus = can.Bus(channel=channel, interface=interface, **options)
         if interface == "udp_multicast":
             try:
