@@ -74,3 +74,11 @@ def test_gateway_that_cannot_be_reached_has_its_own_remedy(domain):
             wait_for(lambda: node.link.state().errors)
             message = node.health()[0].message
     assert "(Connection refused); check can_host and can_port, and that socketcand runs there" in message
+
+
+def test_adapter_on_a_serial_port_that_is_absent_has_the_remedy_of_the_port(domain, tmp_path):
+    with started(
+        CanDriverNode, domain, can_interface="slcan", can_channel=str(tmp_path / "none"), can_bitrate=250000
+    ) as node:
+        wait_for(lambda: node.link.state().errors)
+        assert "not connected (No such file or directory); check power and cable" in node.health()[0].message

@@ -208,8 +208,10 @@ class Link(Generic[T]):
 
 def error_text(error: Exception) -> str:
     """The system's error text, without the port names that libraries add; else type and text of the error."""
-    inner = error.__cause__ if error.__suppress_context__ else error.__context__
-    for cause in (inner, error):
+    chain: list[BaseException] = [error]
+    while inner := chain[-1].__cause__ if chain[-1].__suppress_context__ else chain[-1].__context__:
+        chain.append(inner)
+    for cause in reversed(chain):
         if isinstance(cause, OSError) and cause.strerror:
             return " ".join(cause.strerror.split())
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
