@@ -156,3 +156,22 @@ def test_frame_of_one_side_that_ceases_is_named_as_the_reason_for_no_sprockets(d
             node.receive((sent.arbitration_id, sent.data), sent.stamp_ns)
         message = node.unusable_data_message()
         assert message == "no sprockets: frame 'Left' (0x180) does not come; check the sender and its cable"
+
+
+def test_frames_that_are_briefly_rejected_are_no_reason_for_an_error(domain, can, tmp_path):
+    dbc, roles = unseen_bus.write(tmp_path)
+    with started(CanDriverNode, domain, dbc_file=str(dbc), roles_file=str(roles), **can) as node:
+        for sent in unseen_bus.frames(0, 3_500_000_000):
+            data = sent.data if sent.stamp_ns < 3_000_000_000 else sent.data[:2]
+            node.receive((sent.arbitration_id, data), sent.stamp_ns)
+        assert node.unusable_data_message() == ""
+
+
+def test_topic_whose_frames_come_but_never_together_is_named(domain, can, tmp_path):
+    dbc, roles = unseen_bus.write(tmp_path)
+    files = {"dbc_file": str(dbc), "roles_file": str(roles)}
+    with started(CanDriverNode, domain, pairing_timeout=0.01, **files, **can) as node:
+        for sent in unseen_bus.frames(0, 8_000_000_000):
+            is_late = sent.arbitration_id & 0x7FF == 387
+            node.receive((sent.arbitration_id, sent.data), sent.stamp_ns + (25_000_000 if is_late else 0))
+        assert "no hydraulics: frames come, but give none" in node.health()[0].message

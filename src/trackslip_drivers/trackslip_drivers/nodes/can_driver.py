@@ -147,16 +147,22 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             entries[0].values["frames without a role"] = self._can.decoder.frames_without_role
             ambiguous = self._can.decoder.ambiguous_source_message(is_live=True)
             entries[0].values["another id"] = self._can.decoder.other_id_message() or ambiguous
-            problem = ambiguous or self._unused_frames_message(self.missing_kinds(self._can.kinds))
+            missing = self.missing_kinds(self._can.kinds)
+            problem = ambiguous or self._unused_frames_message(missing, "frames come, but give none")
             if problem and entries[0].level in (OK, WARN):
                 entries[0] = replace(entries[0], level=WARN, message=f"{entries[0].message}; {problem}")
         return entries
 
-    def _unused_frames_message(self, kinds: Iterable[type]) -> str:
-        """Message about the missing topics of these kinds of samples, and their frames; or empty."""
+    def _unused_frames_message(self, kinds: Iterable[type], otherwise: str = "") -> str:
+        """Message about the missing topics of these kinds of samples, and their frames; or empty.
+
+        ``otherwise``: text if all frames come.
+        """
         topics = {_MESSAGES[kind][0]: self._can.frames[kind] for kind in kinds}
+        if not topics:
+            return ""
         frames = set().union(*topics.values())
-        message = self._can.decoder.unused_frames_message(frames, _FRAME_PATIENCE_NS) if topics else ""
+        message = self._can.decoder.unused_frames_message(frames, _FRAME_PATIENCE_NS) or otherwise
         return f"no {' and no '.join(sorted(topics))}: {message}" if message else ""
 
 

@@ -159,7 +159,8 @@ class FrameDecoder:
         self._frames = frames
         self._tally = tally
         self._timings: dict[int, FrameTiming] = {}  # by arbitration id
-        self._newest: dict[str, tuple[int, str]] = {}  # frame → its arrival, and why it was rejected
+        self._accepted_ns: dict[str, int] = {}  # frame → arrival of the newest one accepted
+        self._rejected: dict[str, tuple[int, str]] = {}  # frame → arrival of the newest one rejected, why
         self._first_ns: int | None = None  # arrival of the first frame, and of the newest one
         self._now_ns = 0
 
@@ -190,7 +191,7 @@ class FrameDecoder:
         values = codec.unpack(little, big)
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
-        self._newest[codec.name] = stamp_ns, ""
+        self._accepted_ns[codec.name] = stamp_ns
         timing = self._timings.get(arbitration_id) or self._add_timing(arbitration_id, codec, stamp_ns)
         return timing.add(codec.counter_value(little, big), stamp_ns, values)
 
@@ -225,12 +226,16 @@ class FrameDecoder:
         """Message about those of the frames that do not come, else about one that is rejected; or empty."""
         absent, rejected, remedy = [], "", "check the sender and its cable"
         for name in sorted(names):
-            newest_ns, reason = self._newest.get(name, (self._first_ns or self._now_ns, ""))
-            if self._now_ns - newest_ns > patience_ns + _ABSENT_CYCLES * self.cycle_ns(name):
-                absent.append(f"'{name}' (0x{self._frames.id_of(name):X})")
-                remedy = remedy if name in self._newest else "check the sender, and the roles file"
-            elif reason:
+            earliest_ns = self._now_ns - patience_ns - _ABSENT_CYCLES * self.cycle_ns(name)
+            start_ns = self._now_ns if self._first_ns is None else self._first_ns
+            rejected_ns, reason = self._rejected.get(name, (start_ns, ""))
+            if self._accepted_ns.get(name, start_ns) >= earliest_ns:
+                continue
+            if reason and rejected_ns >= earliest_ns:
                 rejected = f"frame '{name}' is rejected: {reason}; check it against the DBC"
+                continue
+            absent.append(f"'{name}' (0x{self._frames.id_of(name):X})")
+            remedy = remedy if name in self._accepted_ns else "check the sender, and the roles file"
         if not absent:
             return rejected
         frames = f"frame {absent[0]} does" if len(absent) == 1 else f"frames {', '.join(absent)} do"
@@ -295,7 +300,7 @@ class FrameDecoder:
 
     def _reject(self, source: str, reason: Rejection, detail: str = "") -> Rejection:
         text = f"{reason.value} ({detail})" if detail else reason.value
-        self._newest[source] = self._now_ns, text
+        self._rejected[source] = self._now_ns, text
         self._tally.add(source, reason, detail=text if source == BUS else f"frame '{source}': {text}")
         return reason
 

@@ -24,7 +24,8 @@ _SEND_TIMEOUT_S = 0.1
 _CONNECT_TIMEOUT_S = 2.0
 _CLASSIC_BYTES = 8
 
-logging.getLogger("can").setLevel(logging.ERROR)  # else it warns of buses that did not open
+for _name in ("can.bus", "can.interfaces"):  # else they warn of buses that did not open
+    logging.getLogger(_name).setLevel(logging.ERROR)
 
 
 class CanBus:
