@@ -14,6 +14,7 @@ from fixtures.patience import wait_for
 from trackslip_common.nodes.health import ERROR, STALE
 from trackslip_drivers.nodes import can_driver
 from trackslip_drivers.nodes.can_driver import CanDriverNode
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG
 from trackslip_drivers.transports.can_bus import CanBus
 
 SOCKETCAN = {"can_interface": "socketcan", "can_channel": "can7"}
@@ -82,3 +83,12 @@ def test_adapter_on_a_serial_port_that_is_absent_has_the_remedy_of_the_port(doma
     ) as node:
         wait_for(lambda: node.link.state().errors)
         assert "not connected (No such file or directory); check power and cable" in node.health()[0].message
+
+
+def test_bus_off_ends_with_the_interface_being_set_down_and_up(domain, monkeypatch):
+    """No frame may come for a while, as the machine is off."""
+    monkeypatch.setattr(can_driver, "CanBus", lambda _interface, channel, _: CanBus("virtual", channel, {}))
+    with started(CanDriverNode, domain, **SOCKETCAN) as node:
+        node.receive((0x40 | ERROR_FLAG, bytes(8)), 0)
+        node.link._note_error(OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN)))
+        assert node.health()[0].values["bus state"] == "active"

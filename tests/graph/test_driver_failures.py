@@ -213,7 +213,9 @@ def test_stamps_of_a_host_that_is_not_on_utc_are_no_rejections(
         assert node.health()[0].message.startswith("running; some is rejected: ")
 
 
-def test_receiver_that_sends_no_position_any_more_is_distinguished_from_a_wrong_rate(receiver: NmeaNode) -> None:
+def test_receiver_that_sends_no_position_any_more_is_distinguished_from_a_wrong_rate(
+    receiver: NmeaNode,
+) -> None:
     drive_until_missing(receiver, gga, rmc, hdt)
     assert "(HDT, RMC), but no GGA" in receiver.unusable_data_message()
 

@@ -141,6 +141,8 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
     def health(self) -> list[Health]:
         """The link's health, with the state of the bus."""
         self.period = self._can.period or self.period
+        if self.link.state().last_error == os.strerror(errno.ENETDOWN):
+            self._bus_state = BusState.ACTIVE  # the controller restarts with its interface, without a word
         entries = super().health()
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
