@@ -19,6 +19,12 @@ from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
 from trackslip_drivers.transports.can_bus import CanBus
 
 
+@pytest.fixture(autouse=True)
+def only_fed_frames(monkeypatch):
+    """The thread of the link opens an empty bus; it would restart the decoding between two fed frames."""
+    monkeypatch.setattr(CanDriverNode, "restart_decoding", lambda _: None)
+
+
 @pytest.fixture
 def machine(can):
     """CAN parameters of an emulated machine that sends its frames in real time until the test ends."""

@@ -179,10 +179,17 @@ def test_port_without_permission_names_the_group(driver):
     )
 
 
+def leave_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the receiver an empty line that affects no fed sentence."""
+    monkeypatch.setattr(NmeaNode, "open_port", lambda _: QueuePort())
+    monkeypatch.setattr(NmeaNode, "restart_decoding", lambda _: None)
+    monkeypatch.setattr(NmeaNode, "on_silence", lambda *_: None)
+
+
 @pytest.fixture
 def receiver(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[NmeaNode]:
-    """The driver of a receiver on an empty line."""
-    monkeypatch.setattr(NmeaNode, "open_port", lambda _: QueuePort())
+    """The driver of a receiver on an empty line, whose thread does nothing between fed sentences."""
+    leave_alone(monkeypatch)
     with started(NmeaNode, domain) as node:
         wait_for(lambda: node.link.state().openings)
         yield node
@@ -201,7 +208,7 @@ def test_stamps_of_a_host_that_is_not_on_utc_are_no_rejections(
     domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All fixes are used, and a wrong checksum among them is the reason that counts."""
-    monkeypatch.setattr(NmeaNode, "open_port", lambda _: QueuePort())
+    leave_alone(monkeypatch)
     with started(NmeaNode, domain, host_clock_is_utc=True) as node:
         wait_for(lambda: node.link.state().openings)
         now_ns = time.monotonic_ns()
