@@ -10,14 +10,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import GNSS, parameters
+from fixtures.drawn_machine import GNSS, parameters, with_coarse_fixes
 from fixtures.fault_cases.case import seconds
 from fixtures.pose_errors import errors_over
-from fixtures.short_moves import RATE, work
+from fixtures.short_moves import FIX_RATE, RATE, work
 from fixtures.swinging_cab import Cab, dig, record
 
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import (
+    SET_POSE,
+    Measurement,
+    PoseFix,
+    Sprockets,
+    VelocityFix,
+    YawRate,
+)
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FAULT = 30.0  # s
@@ -72,6 +79,37 @@ def test_gyro_that_measures_twice_the_rate_does_not_reverse_the_heading_for_good
     errors, _ = errors_over(measurements, recording, P)
     assert np.abs(errors.between(115.0).off[:, 2]).max() < 0.2
     assert errors.between(10.0).rms < 0.06
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4, 6])
+def test_a_bias_that_changes_at_a_standstill_does_not_turn_the_heading(seed: int) -> None:
+    recording = work(seed)
+    measurements = [
+        replace(m, rate=m.rate + 0.03) if isinstance(m, YawRate) and 40.0 <= seconds(m) < 40.0 + FAULT else m
+        for m in recording.measurements
+    ]
+    errors, _ = errors_over(measurements, recording, P)
+    assert np.abs(errors.between(40.0 + FAULT).off[:, 2]).max() < 0.2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_reversed_encoders_beside_velocities_do_not_turn_the_heading(seed: int) -> None:
+    """The fixes are those of an ordinary receiver, which states Doppler velocities too."""
+    recording, noise, stddev = work(seed), np.random.default_rng(seed), 0.03
+    velocities = [
+        VelocityFix(
+            "fix_velocity",
+            10**9 + round(recording.t[k] * 1e9),
+            (recording.poses[k + 1, :2] - recording.poses[k - 1, :2]) * RATE / 2.0
+            + stddev * noise.normal(size=2),
+            stddev**2 * np.eye(2),
+        )
+        for k in range(RATE, recording.t.size - 1, RATE // FIX_RATE)
+    ]
+    seen = sorted([*with_coarse_fixes(recording, 0.8, 25.0, seed), *velocities], key=lambda m: m.stamp_ns)
+    measurements = with_wrong_encoders(seen, -1.0, -1.0, 40.0)
+    errors, _ = errors_over(measurements, recording, parameters(**GNSS, velocity_sources=["fix_velocity"]))
+    assert errors.between(10.0).heading_nees < 5.0
 
 
 def test_encoders_that_count_backwards_are_named() -> None:
