@@ -46,6 +46,7 @@ _LENGTHS = {
     "mass.track_width": _Length(0.0215, 0.15),
     f"{ANTENNA}.z": _Length(0.12, 0.3),  # cab roof
 }
+_LARGEST_RATIO = 4.0  # of a length to that guessed from the mass: robots are wider than excavators
 _CENTRE_POSITION = dict.fromkeys((f"{ANTENNA}.x", f"{ANTENNA}.y"), 0.0)  # in the middle between the tracks
 # Size of a block with the machine's yaw inertia, over contact length and tread.
 _BLOCK = (1.3, 1.2)
@@ -69,6 +70,20 @@ class Draft:
     values: Mapping[str, float]  # by dotted name
     guessed: Mapping[str, float]  # dotted name → relative standard deviation; 0: unknown
     missing: tuple[str, ...]  # omitted parts, as sentences
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on stated lengths that no machine of the stated mass has, as with a mass in tons."""
+        if MASS not in self.values or MASS in self.guessed:
+            return ()
+        return tuple(
+            f"{name} {self.values[name]:g} m with {self.values[MASS]:g} kg; "
+            f"usual: {_round_guess(usual):g} m, or {_round_guess((self.values[name] / length.factor) ** 3):g} kg"
+            for name, length in _LENGTHS.items()
+            if name in self.values and name not in self.guessed
+            for usual in (length.factor * self.values[MASS] ** (1 / 3),)
+            if not 1.0 / _LARGEST_RATIO < self.values[name] / usual < _LARGEST_RATIO
+        )
 
     @property
     def files(self) -> dict[str, str]:
