@@ -76,13 +76,14 @@ class Draft:
         """Sentences on stated lengths that no machine of the stated mass has, as with a mass in tons."""
         if MASS not in self.values or MASS in self.guessed:
             return ()
+        mass = self.values[MASS]
         return tuple(
-            f"{name} {self.values[name]:g} m with {self.values[MASS]:g} kg; "
-            f"usual: {_round_guess(usual):g} m, or {_round_guess((self.values[name] / length.factor) ** 3):g} kg"
-            for name, length in _LENGTHS.items()
-            if name in self.values and name not in self.guessed
-            for usual in (length.factor * self.values[MASS] ** (1 / 3),)
-            if not 1.0 / _LARGEST_RATIO < self.values[name] / usual < _LARGEST_RATIO
+            f"{name} {stated:g} m with {mass:g} kg; usual: {_round_guess(usual):g} m, or {heavier:g} kg"
+            for name, stated in self.values.items()
+            if name in _LENGTHS and name not in self.guessed
+            for usual in (_LENGTHS[name].factor * mass ** (1 / 3),)
+            for heavier in (_round_guess(mass * (stated / usual) ** 3),)
+            if not 1.0 / _LARGEST_RATIO < stated / usual < _LARGEST_RATIO
         )
 
     @property
