@@ -67,8 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"'{path}' exists; accepted: another --name or --output")
     for path, text in zip(paths, draft.files.values(), strict=True):
         write_file("output", path, text)
-    for line in draft.doubts:
-        show(f"doubted: {line}")
+    for line in draft.implausible_lengths:
+        show(f"implausible: {line}")
     for name in draft.guessed:
         show(f"guessed: {name} {draft.values[name]:g}: {MEASURING_METHODS[name]}")
     for line in draft.missing:

@@ -72,7 +72,7 @@ class Draft:
     missing: tuple[str, ...]  # omitted parts, as sentences
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def implausible_lengths(self) -> tuple[str, ...]:
         """Sentences on stated lengths that no machine of the stated mass has, as with a mass in tons."""
         if MASS not in self.values or MASS in self.guessed:
             return ()
