@@ -154,7 +154,12 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix
     spare = np.flatnonzero(np.diag(P) == 0.0)  # of absent sources
     P[spare, spare] = 1e-4
-    states, expected = expected_bound(rows, x, P, config, {POSE: lambda x: x[OF_POSE]})
+    offset = int(config["yaw_offsets"][0, 0])
+
+    def measure(x: FloatArray) -> FloatArray:
+        return x[OF_POSE] + np.array((0.0, 0.0, x[offset]))
+
+    states, expected = expected_bound(rows, x, P, config, {POSE: measure})
     assert_same_bound(cramer_rao_bound(rows, states, x, P, config)[-1], expected, 1e-5)
 
 

@@ -168,15 +168,17 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
 
 
 def _sensor(kind: int, p: SlipEstimatorParameters, config: ConfigRecord) -> Sensor:
-    """Measurement function h of a sensor on the cab."""
+    """Measurement function h of a sensor on the cab; the angles of the box have an offset."""
+    offset = int(config["yaw_offsets"][0, list(p.timeouts_ns()).index("box_pose")])
 
     def measure(x: FloatArray) -> FloatArray:
         if kind == ON_SWING:
-            return x[SWING : SWING + 1]
+            return x[SWING : SWING + 1] + x[offset]
         if kind == YAW_RATE:
             rate = twist(x, 1.6, 1.2, config[0])[2] + x[SWING_RATE]
             return np.array(((1.0 + x[GYRO_SCALE]) * rate + x[GYRO_BIAS],))
-        return upper_poses(x[None, OF_POSE], x[SWING : SWING + 1], p.vehicle.swing_axis)[0]
+        pose = upper_poses(x[None, OF_POSE], x[SWING : SWING + 1], p.vehicle.swing_axis)[0]
+        return pose + np.array((0.0, 0.0, x[offset]))
 
     return measure
 

@@ -89,7 +89,8 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     assert result.position == pytest.approx(expected.score.position, rel=0.05)
     assert result.heading == pytest.approx(expected.score.heading, rel=0.05)
     assert result.nees == pytest.approx(expected.nees, rel=0.05)
-    assert result.pose_log_likelihood == pytest.approx(expected.log_likelihood, abs=0.1)
+    # that of the estimator spans all branches
+    assert result.pose_log_likelihood == pytest.approx(expected.log_likelihood, abs=0.25)
 
 
 def test_likelihood_of_a_spike_is_limited(drive: Callable[..., Any]) -> None:
