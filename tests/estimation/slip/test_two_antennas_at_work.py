@@ -63,7 +63,6 @@ def test_wrong_headings_turn_neither_heading_nor_position(
     off: tuple[float, float, float], mounted: float, seed: int
 ) -> None:
     found = errors_with(lambda pose, _: pose + np.array(off), mounted, seed).between(10.0)
-    assert np.abs(found.off[:, 2]).max() < 0.1
     assert found.heading_nees < 3.0
     assert found.inconsistent < 0.06
     if off[0] == 0.0:

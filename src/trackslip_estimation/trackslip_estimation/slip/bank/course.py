@@ -140,12 +140,7 @@ def log_odds_against_turn(window: Window, p: int, k: int, part: int, c: Config) 
 
     In its own sector, ``part`` 0: against one that is off by the standard deviation of a sector.
     """
-    angle, variance = sector_angle(part)
-    snapshot_ns = window.measurements[window.branches[p, k - 1].snapshots[OLDER].entry].stamp_ns
-    return log_odds_against_angle(window, p, k, angle if part > 0 else math.sqrt(variance), snapshot_ns, c)
-
-
-@compiled
-def log_odds_against_angle(window: Window, p: int, k: int, angle: float, stamp_ns: int, c: Config) -> float:
-    """ln of the odds of the heading of branch p before k, against one that is ``angle`` rad off."""
-    return float((1.0 - math.cos(angle)) * _remaining_course(window.branches[p, k - 1], stamp_ns, c))
+    branch, (angle, variance) = window.branches[p, k - 1], sector_angle(part)
+    snapshot_ns = window.measurements[branch.snapshots[OLDER].entry].stamp_ns
+    against = 1.0 - math.cos(angle if part > 0 else math.sqrt(variance))
+    return against * _remaining_course(branch, snapshot_ns, c)

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Try whether a lasting offset of a source is a jump of the machine; compiled.
 
-Fixes that confirmed the heading (``course``) are evidence against a jump of it. An offset of positions and
-headings by one fault is no jump while gyros measure all turns.
+An offset of positions and headings by one fault is no jump while gyros measure all turns.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import add_angle_child, add_child
-from trackslip_estimation.slip.bank.course import is_heading_carried, log_odds_against_angle
+from trackslip_estimation.slip.bank.course import is_heading_carried
 from trackslip_estimation.slip.events import ANGLES, BECAME_JUMP, MOVED, OFFSET
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import MOST_SOURCES, POSE
@@ -50,9 +49,6 @@ def make_offset_jump_children(window: Window, p: int, k: int, c: Config) -> None
     source, before = window.measurements[k].source, window.states[p, k - 1]
     if _is_heading_jump_due(window, p, k, c):
         prior = _log_prior_of_jump(window, k, before.heading_fault_ns[source], c)
-        if c.measures_swing[source] == 0:
-            angle, stamp_ns = before.mean[c.yaw_offsets[source]], window.measurements[k].stamp_ns
-            prior -= log_odds_against_angle(window, p, k, angle, stamp_ns, c)
         if is_same_fault(before, source):
             add_angle_child(window, p, k, BECAME_JUMP, 0, BECAME_JUMP, ANGLES, prior, c)
         else:
