@@ -193,7 +193,7 @@ def _decouple_changed_bias(state: State, source: int, c: Config) -> None:
     is_observed = state.motion.motion == _STANDING and not is_free_to_swing(state, source, c)
     if is_observed and variance <= last.bias_variance:
         squared = (bias - last.bias) ** 2
-        if squared <= c.gate_limits[1] * (last.bias_variance - variance):
+        if squared <= c.adaptation.soft_gate * c.gate_limits[1] * (last.bias_variance - variance):
             return
         replace_state(state.mean[: c.size], state.covariance[:], index, bias, variance)
     last.bias, last.bias_variance = bias, variance
