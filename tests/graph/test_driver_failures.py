@@ -21,7 +21,7 @@ from trackslip_drivers.nodes.nmea_gnss import NmeaNode
 from trackslip_drivers.nodes.sick_pls import SickNode
 from trackslip_drivers.nodes.watson_imu import WatsonNode
 from trackslip_drivers.protocols import watson
-from trackslip_drivers.protocols.nmea_sentences import Position, gga, rmc
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, rmc
 from trackslip_drivers.protocols.sick_telegram import TelegramFault
 from trackslip_drivers.stamping import StampEvent
 
@@ -232,9 +232,10 @@ def test_receiver_that_sends_no_position_any_more_is_distinguished_from_a_wrong_
     [
         (hdt, (gga, rmc), "; no heading any more; check the second antenna"),
         (rmc, (gga, hdt), "; no fix_velocity any more; check"),
+        (gst, (gga, rmc), "; fix has no accuracy of the receiver any more, but HDOP times range_errors; "),
     ],
 )
-def test_heading_or_velocity_that_ceases_while_fixes_come_is_a_warning(
+def test_heading_velocity_or_accuracy_that_ceases_while_fixes_come_is_a_warning(
     receiver: NmeaNode, missing: Encoder, others: tuple[Encoder, ...], words: str
 ) -> None:
     """A receiver that lost its second antenna left the driver running without a word."""

@@ -152,7 +152,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
 
     def restamp(self, sample: S) -> S:
         """Stamp a sample for publishing: on the host's clock, later than the previous one."""
-        self._published_at[type(sample)] = self._published
+        self.note_kind(type(sample))
         host_ns = self._host.stamp(sample.stamp_ns)
         stamp_ns = self._order[type(sample)].next_stamp(host_ns)
         if stamp_ns != host_ns:
@@ -164,6 +164,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         self._published += 1
         before_s, self._last_s = self._last_s, time.monotonic()
         self._intervals = self._intervals[1], self._last_s - before_s
+
+    def note_kind(self, kind: type) -> None:
+        """Note that a sample of this kind, or one that has this property, has come."""
+        self._published_at[kind] = self._published
 
     def missing_kinds(self, kinds: Iterable[type]) -> list[type]:
         """Those kinds of samples of which none has come recently, while messages have."""

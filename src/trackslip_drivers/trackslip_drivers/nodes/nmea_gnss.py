@@ -29,7 +29,7 @@ from trackslip_drivers.protocols.nmea_stream import (
     NmeaStream,
     Sample,
 )
-from trackslip_drivers.records import FixSample, FixStatus, HeadingSample, VelocitySample
+from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample, VelocitySample
 from trackslip_drivers.transports.ntrip import MAX_RATE, STALL_S, NtripClient, read_credentials
 
 _TRANSIENT = [
@@ -37,7 +37,9 @@ _TRANSIENT = [
     for reason in (Rejection.NO_FIX, Rejection.WARNING, Rejection.DEAD_RECKONING, Rejection.NOT_MEASURED)
 ]
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
-_MISSING = {
+_MISSING: dict[type, str] = {
+    CovarianceType: f"{FIX} has no accuracy of the receiver any more, but HDOP times range_errors; "
+    "check that it sends GST",
     HeadingSample: f"no {HEADING} any more; check the second antenna, and the receiver's HDT, THS or PASHR",
     VelocitySample: f"no {VELOCITY} any more; check that the receiver sends RMC, VTG or NAV-PVT",
 }
@@ -155,6 +157,8 @@ class NmeaNode(SerialDriverNode[NmeaParameters]):
         for decoded in samples:
             if isinstance(decoded, FixSample):
                 fix = self.restamp(decoded)
+                if fix.covariance_type is CovarianceType.DIAGONAL_KNOWN:
+                    self.note_kind(CovarianceType)
                 self._fixes.publish(conversions.nav_sat_fix(make, fix, self.settings.frame_id))
                 self._latest_fix = fix, time.monotonic()
                 self.count_message()
