@@ -3,6 +3,7 @@
 """The soil estimator node: its outputs, its fault reports, and its robustness."""
 
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,13 +75,15 @@ class SoilNode:
             self._observer.wait(lambda n=expected: len(self.forces) >= n, "forces")
         return outputs
 
-    def until_reported(self, level, *words):
+    def until_reported(self, level, *words, meanwhile=lambda: None):
         def is_reported(health):
             return health.name == "soil_estimator" and all(word in health.message for word in words)
 
-        self._observer.wait(
-            lambda: any(is_reported(h) and h.level == level for h in self.healths), f"{words}"
-        )
+        def is_level_reported():
+            meanwhile()
+            return any(is_reported(h) and h.level == level for h in self.healths)
+
+        self._observer.wait(is_level_reported, f"{words}")
 
 
 @pytest.fixture
@@ -114,6 +117,21 @@ def test_node_publishes_the_outputs_of_the_estimator_and_takes_new_limits(
         assert result.successful is accepted, name
 
 
+def test_inputs_that_arrive_but_are_not_used_are_not_called_silent(programs, observer, inputs):
+    """One missing pressure was "hydraulics silent"; unusable machine states left the node running."""
+    node = SoilNode(programs, observer)
+    nan, estimator = float("nan"), SoilEstimator(load_soil_parameters())
+    unusable = [replace(i, left_pressure=nan) if isinstance(i, Hydraulics) else i for i in inputs]
+    node.feed(unusable[:600], estimator)
+    node.until_reported(DiagnosticStatus.ERROR, "hydraulics rejected (contains nan or infinity)", "held")
+    states = (replace(i, twist=np.full(3, nan)) for i in inputs if not isinstance(i, Hydraulics))
+    node.until_reported(
+        DiagnosticStatus.ERROR,
+        "machine_state rejected (contains nan or infinity)",
+        meanwhile=lambda: node.send([next(states)]),
+    )
+
+
 @pytest.mark.slow
 def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, observer, inputs):
     node = SoilNode(programs, observer)
@@ -132,9 +150,9 @@ def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, obse
     ]
     without = [i for i in inputs if not isinstance(i, Hydraulics)]
     estimator = SoilEstimator(load_soil_parameters())
-    node.feed(without[:100], estimator)
+    node.feed(without[:300], estimator)
     node.send(bad)
-    node.feed(without[100:], estimator)
+    node.feed(without[300:], estimator)
     node.until_reported(DiagnosticStatus.ERROR, "hydraulics silent", "held")
     node.until_reported(DiagnosticStatus.ERROR, "slip estimator silent")
     code, _ = node.program.end(signal.SIGINT)

@@ -2,36 +2,59 @@
 # SPDX-License-Identifier: Apache-2.0
 """``soil_estimator``: track forces and soil parameters, from machine states and hydraulics."""
 
+import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_common.tally import Tally
 from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import HYDRAULICS, SoilInput
+from trackslip_estimation.soil.pressure_watch import PressureFault
+from trackslip_estimation.soil.records import HYDRAULICS, Rejection, SoilInput
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import DEFAULT_FILES, NODE, PARAMETERS, SoilEstimatorParameters
 
 _SILENCE_TIMEOUT = 1.0  # s of silence
 NO_OUTPUT_TEXT = "no forces and no soil are estimated"
+OTHER_STAMPS_TEXT = (
+    f"at other stamps than {MACHINE_STATE}, or further apart than moments.longest_gap; "
+    "check the clocks and rates of their drivers"
+)
+_REJECTIONS = frozenset(rejection.value for rejection in Rejection)
 _NICENESS = 5  # soils change slowly; odometry has priority
 
 
-def soil_health(estimator: SoilEstimator, silence_s: float | None, counts: Mapping[str, Any]) -> Health:
-    """Return the entry; ``silence_s``: since the last machine state, None before the first one."""
+def soil_health(
+    estimator: SoilEstimator,
+    silence_s: float | None,
+    counts: Mapping[str, Any],
+    unused: Mapping[str, str] = MappingProxyType({}),
+) -> Health:
+    """Return the entry.
+
+    ``silence_s``: since the last machine state, None before the first one; ``unused``: source → why its
+    messages, which arrive, are not used.
+    """
     values = {**counts, "restarts": estimator.restarts, **_soil_texts(estimator)}
     if silence_s is None:
         return Health(WARN, "waiting for machine_state", values)
     if silence_s > _SILENCE_TIMEOUT:
         return Health(ERROR, f"slip estimator silent for {silence_s:.1f} s", values)
+    if MACHINE_STATE in unused:
+        return Health(ERROR, f"{MACHINE_STATE} {unused[MACHINE_STATE]}: {NO_OUTPUT_TEXT}", values)
     if estimator.faults:
-        names = ", ".join(fault.value for fault in estimator.faults)
-        return Health(ERROR, f"{names}: the estimates are held", values)
+        texts = {fault: fault.value for fault in estimator.faults}
+        if PressureFault.DROPPED in texts and HYDRAULICS in unused:
+            texts[PressureFault.DROPPED] = f"{HYDRAULICS} {unused[HYDRAULICS]}"
+        return Health(ERROR, f"{', '.join(texts.values())}: the estimates are held", values)
     if any(estimator.stalled):
         text = f"stalled: {_side_names(estimator.stalled)} commanded and under pressure, but not turning"
         return Health(WARN, text, values)
@@ -72,7 +95,10 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
             None if self.settings.vehicle.missing_groups_message else SoilEstimator(self.settings)
         )
         self._inputs = self._published = 0
-        self._received_s: float | None = None  # steady: time of the last machine state
+        self._received_s: dict[str, float] = {}  # source → steady time of its last message
+        self._published_s = 0.0  # steady
+        self._rejections: Counter[tuple[str, str]] = Counter()
+        self._rejected: dict[str, tuple[str, float]] = {}  # source → latest reason, and its steady time
         self._reported: Any = None
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
@@ -91,26 +117,44 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         """Return waiting, running, or what is wrong, with unused inputs by source and reason."""
         if self._estimator is None:
             return [Health(WARN, f"{self.settings.vehicle.missing_groups_message}: {NO_OUTPUT_TEXT}")]
-        counts = {"inputs": self._inputs, "messages": self._published, **self._estimator.tally.values()}
-        silence_s = None if self._received_s is None else time.monotonic() - self._received_s
-        return [soil_health(self._estimator, silence_s, counts)]
+        tally, now_s = self._estimator.tally, time.monotonic()
+        counts = {"inputs": self._inputs, "messages": self._published, **tally.values()}
+        received_s = self._received_s.get(MACHINE_STATE)
+        silence_s = None if received_s is None else now_s - received_s
+        return [soil_health(self._estimator, silence_s, counts, self._unused(tally, now_s))]
+
+    def _unused(self, tally: Tally, now_s: float) -> dict[str, str]:
+        """Return source → why its messages, which arrive, are not used."""
+        new, self._rejections = tally.total - self._rejections, tally.total
+        self._rejected |= {source: (text, now_s) for source, text in new if text in _REJECTIONS}
+        unused = {
+            source: f"rejected ({text})"
+            for source, (text, rejected_s) in self._rejected.items()
+            if now_s - rejected_s <= _SILENCE_TIMEOUT
+        }
+        if now_s - self._received_s.get(HYDRAULICS, -math.inf) <= _SILENCE_TIMEOUT:
+            unused.setdefault(HYDRAULICS, OTHER_STAMPS_TEXT)
+        if now_s - self._published_s <= _SILENCE_TIMEOUT:
+            unused.pop(MACHINE_STATE, None)
+        return unused
 
     def _on_hydraulics(self, message: Any) -> None:
         self._process(conversions.hydraulics(message))
 
     def _on_machine_state(self, message: Any) -> None:
-        self._received_s = time.monotonic()
         self._process(conversions.machine_state(message))
 
     def _process(self, soil_input: SoilInput) -> None:
         assert self._estimator is not None
         self._inputs += 1
+        self._received_s[soil_input.source] = time.monotonic()
         outputs = self._estimator.advance(soil_input)
         for output in outputs:
             publisher = self._outputs[conversions.topic_of(output)]
             publisher.publish(conversions.message_of(make, output, self.settings.frame))
             self._published += 1
         if outputs:
+            self._published_s = time.monotonic()
             self._report_changes(self._estimator)
 
     def _report_changes(self, estimator: SoilEstimator) -> None:
