@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator node: its outputs, its fault reports, and its robustness."""
 
+import math
 import signal
 from dataclasses import replace
 
@@ -11,9 +12,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from trackslip_msgs.msg import MachineState, TrackHydraulics
 
 from trackslip_common.make import set_stamp, stamp_ns_of
+from trackslip_estimation.nodes.soil_estimator import soil_health
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import records
+from trackslip_estimation.soil.pressure_watch import PressureFault
 from trackslip_estimation.soil.records import Hydraulics, PoseWithCovariance
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
@@ -117,14 +120,36 @@ def test_node_publishes_the_outputs_of_the_estimator_and_takes_new_limits(
         assert result.successful is accepted, name
 
 
-def test_inputs_that_arrive_but_are_not_used_are_not_called_silent(programs, observer, inputs):
-    """One missing pressure was "hydraulics silent"; unusable machine states left the node running."""
+@pytest.mark.parametrize("fault", PressureFault)
+def test_each_fault_of_the_pressures_has_a_remedy(fault, monkeypatch):
+    monkeypatch.setattr(SoilEstimator, "faults", (fault,))
+    health = soil_health(SoilEstimator(load_soil_parameters()), 0.0, {})
+    assert health.message.startswith(f"{fault.value}: the estimates are held; ")
+    assert health.message.rpartition("; ")[2].split()[0] in ("check", "exchange")
+
+
+@pytest.mark.parametrize(
+    ("stride", "changes", "words"),
+    [
+        (1, {"left_pressure": math.nan}, "hydraulics rejected (contains nan or infinity)"),
+        (25, {}, "hydraulics at other stamps than machine_state"),
+    ],
+)
+def test_hydraulics_that_arrive_but_are_not_used_are_not_called_silent(
+    programs, observer, inputs, stride, changes, words
+):
     node = SoilNode(programs, observer)
-    nan, estimator = float("nan"), SoilEstimator(load_soil_parameters())
-    unusable = [replace(i, left_pressure=nan) if isinstance(i, Hydraulics) else i for i in inputs]
-    node.feed(unusable[:600], estimator)
-    node.until_reported(DiagnosticStatus.ERROR, "hydraulics rejected (contains nan or infinity)", "held")
-    states = (replace(i, twist=np.full(3, nan)) for i in inputs if not isinstance(i, Hydraulics))
+    states = [i for i in inputs if not isinstance(i, Hydraulics)]
+    unusable = [replace(i, **changes) for i in inputs if isinstance(i, Hydraulics)][::stride]
+    mixed = sorted([*states, *unusable], key=lambda i: i.stamp_ns)
+    node.feed(mixed[:1200], SoilEstimator(load_soil_parameters()))
+    node.until_reported(DiagnosticStatus.ERROR, words, "held")
+
+
+def test_rejected_machine_states_are_reported(programs, observer, inputs):
+    """They left the node running without an output."""
+    node = SoilNode(programs, observer)
+    states = (replace(i, twist=np.full(3, math.nan)) for i in inputs if not isinstance(i, Hydraulics))
     node.until_reported(
         DiagnosticStatus.ERROR,
         "machine_state rejected (contains nan or infinity)",

@@ -25,9 +25,17 @@ from trackslip_estimation.soil.soil_parameters import DEFAULT_FILES, NODE, PARAM
 _SILENCE_TIMEOUT = 1.0  # s of silence
 NO_OUTPUT_TEXT = "no forces and no soil are estimated"
 OTHER_STAMPS_TEXT = (
-    f"at other stamps than {MACHINE_STATE}, or further apart than moments.longest_gap; "
-    "check the clocks and rates of their drivers"
+    f"at other stamps than {MACHINE_STATE}, or further apart than moments.longest_gap (clocks and rates)"
 )
+_CHECK_TRANSDUCER = "check the transducer, its cable, and its signal in the DBC"
+_CHECK_SIGNS = "check factor and unit of the pressures in the DBC, and their sign in the roles file"
+_REMEDIES = {
+    PressureFault.DROPPED: "check the source of the pressures in /diagnostics",
+    PressureFault.LEFT_STUCK: _CHECK_TRANSDUCER,
+    PressureFault.RIGHT_STUCK: _CHECK_TRANSDUCER,
+    PressureFault.BEYOND_RELIEF: "check the pressures in the DBC, and the relief pressure of the vehicle",
+    PressureFault.SWAPPED: "exchange the two pressures in the roles file",
+}  # of all others: ``_CHECK_SIGNS``
 _REJECTIONS = frozenset(rejection.value for rejection in Rejection)
 _NICENESS = 5  # soils change slowly; odometry has priority
 
@@ -54,7 +62,9 @@ def soil_health(
         texts = {fault: fault.value for fault in estimator.faults}
         if PressureFault.DROPPED in texts and HYDRAULICS in unused:
             texts[PressureFault.DROPPED] = f"{HYDRAULICS} {unused[HYDRAULICS]}"
-        return Health(ERROR, f"{', '.join(texts.values())}: the estimates are held", values)
+        remedies = dict.fromkeys(_REMEDIES.get(fault, _CHECK_SIGNS) for fault in texts)
+        text = f"{', '.join(texts.values())}: the estimates are held; {', '.join(remedies)}"
+        return Health(ERROR, text, values)
     if any(estimator.stalled):
         text = f"stalled: {_side_names(estimator.stalled)} commanded and under pressure, but not turning"
         return Health(WARN, text, values)
