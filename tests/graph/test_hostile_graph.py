@@ -50,7 +50,10 @@ def test_a_second_publisher_of_an_input_is_an_error(estimator: SlipEstimatorNode
     second = publisher("sprockets")
     wait_for(estimator.inputs.health)
     (health,) = estimator.inputs.health()
-    assert (health.level, health.message) == (ERROR, "several publishers of sprockets")
+    assert (health.level, health.message) == (
+        ERROR,
+        "several publishers of sprockets (end all but one, or set a namespace for each machine)",
+    )
     assert health.values == {"sprockets": 2, "publishers of sprockets": "/other, /other"}
     other.destroy_publisher(second)
     wait_for(lambda: not estimator.inputs.health())

@@ -10,6 +10,7 @@ from trackslip_common.nodes.messages import type_name_of
 from trackslip_common.rate_limiter import RateLimiter
 
 _MATCHING_TIME = 1.0  # s from the discovery of a publisher until it has matched
+_ONE_PUBLISHER = "end all but one, or set a namespace for each machine"
 
 
 class Inputs:
@@ -44,7 +45,7 @@ class Inputs:
         self._unmatched = {t: before.get(t, now_s) for t in counts if self._published(t) > counts[t]}
         unmatched = [topic for topic, since_s in self._unmatched.items() if now_s - since_s >= _MATCHING_TIME]
         new_drops = self._rate_limiter.new_drops()
-        findings = [f"several publishers of {', '.join(several)}"] if several else []
+        findings = [f"several publishers of {', '.join(several)} ({_ONE_PUBLISHER})"] if several else []
         findings += map(self._mismatch, unmatched)
         findings += [f"{count} messages of {topic} were too many" for topic, count in new_drops.items()]
         if not findings:
