@@ -4,6 +4,7 @@
 
 import base64
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -228,9 +229,13 @@ def test_each_fault_is_named_and_corrections_come_again_after_it(
     casters: Callable[..., Caster], name: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     serve, words = FAULTS[name]
-    caster = casters(serve, serve, streams(30))
+    is_named = threading.Event()
+    caster = casters(
+        lambda connection, request: (streams(30) if is_named.is_set() else serve)(connection, request)
+    )
     with Receiver(caster) as receiver:
         receiver.wait_for_fault(words)
+        is_named.set()
         receiver.wait(
             lambda: receiver.client.state().fault == "" and receiver.messages[-1:] == [rtcm(number=29)]
         )
