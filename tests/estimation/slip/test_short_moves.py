@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import GNSS, parameters, with_coarse_fixes
+from fixtures.drawn_machine import GNSS, Recording, parameters, with_coarse_fixes
 from fixtures.fault_cases.case import seconds
 from fixtures.pose_errors import errors_over
 from fixtures.short_moves import FIX_RATE, RATE, work
@@ -29,6 +29,8 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FAULT = 30.0  # s
 P = parameters(**GNSS)
+WITH_VELOCITIES = parameters(**GNSS, velocity_sources=["fix_velocity"])
+SIDES = {"left": (0.0, 1.0), "right": (1.0, 0.0)}  # factors of the encoders' counts
 ONE_ANTENNA = {"sources.box_pose.use_heading": False, "initial_yaw_stddev": 0.02}
 
 
@@ -92,10 +94,9 @@ def test_a_bias_that_changes_at_a_standstill_does_not_turn_the_heading(seed: int
     assert np.abs(errors.between(40.0 + FAULT).off[:, 2]).max() < 0.2
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_reversed_encoders_beside_velocities_do_not_turn_the_heading(seed: int) -> None:
-    """The fixes are those of an ordinary receiver, which states Doppler velocities too."""
-    recording, noise, stddev = work(seed), np.random.default_rng(seed), 0.03
+def with_velocities(recording: Recording, seed: int) -> list[Measurement]:
+    """The drive with the fixes of an ordinary receiver, which states Doppler velocities too."""
+    noise, stddev = np.random.default_rng(seed), 0.03
     velocities = [
         VelocityFix(
             "fix_velocity",
@@ -106,10 +107,49 @@ def test_reversed_encoders_beside_velocities_do_not_turn_the_heading(seed: int) 
         )
         for k in range(RATE, recording.t.size - 1, RATE // FIX_RATE)
     ]
-    seen = sorted([*with_coarse_fixes(recording, 0.8, 25.0, seed), *velocities], key=lambda m: m.stamp_ns)
-    measurements = with_wrong_encoders(seen, -1.0, -1.0, 40.0)
-    errors, _ = errors_over(measurements, recording, parameters(**GNSS, velocity_sources=["fix_velocity"]))
+    return sorted([*with_coarse_fixes(recording, 0.8, 25.0, seed), *velocities], key=lambda m: m.stamp_ns)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_reversed_encoders_beside_velocities_do_not_turn_the_heading(seed: int) -> None:
+    recording = work(seed)
+    measurements = with_wrong_encoders(with_velocities(recording, seed), -1.0, -1.0, 40.0)
+    errors, _ = errors_over(measurements, recording, WITH_VELOCITIES)
     assert errors.between(10.0).heading_nees < 5.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("side", SIDES)
+def test_one_stuck_encoder_beside_velocities_does_not_move_the_machine(seed: int, side: str) -> None:
+    recording = work(seed)
+    measurements = with_wrong_encoders(with_velocities(recording, seed), *SIDES[side], 40.0)
+    errors, _ = errors_over(measurements, recording, WITH_VELOCITIES)
+    fault = errors.between(40.0, 40.0 + FAULT)
+    assert fault.distances.max() < 3.0
+    assert fault.nees(2).mean() < 5.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("side", SIDES)
+def test_one_stuck_encoder_beside_an_ordinary_receiver_does_not_move_the_machine(
+    seed: int, side: str
+) -> None:
+    recording = work(seed)
+    measurements = with_wrong_encoders(with_coarse_fixes(recording, 0.8, 25.0, seed), *SIDES[side], 40.0)
+    errors, _ = errors_over(measurements, recording, P)
+    assert errors.between(40.0, 40.0 + FAULT).nees(2).mean() < 5.0
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_encoder_that_fails_is_named_and_the_slip_of_its_track_is_unknown(side: str) -> None:
+    recording, estimator, named, index = work(0), SlipEstimator(P), 0, list(SIDES).index(side)
+    for m in with_wrong_encoders(recording.measurements, *SIDES[side], 40.0):
+        estimator.process(m)
+        if seconds(m) > 40.0:
+            best = estimator.competing_explanations.explanations[0].text
+            is_unknown = estimator.estimate().outputs.slip_covariance[index, index] > 0.3
+            named += best == f"the {side} sprocket and motion disagree" and is_unknown
+    assert named > RATE
 
 
 def test_encoders_that_count_backwards_are_named() -> None:

@@ -111,6 +111,8 @@ _ENDED = (*_FAULTS, Event.OUTLIER, Event.RECOVERED)  # of a branch in which no s
 _MISCOUNTS = {
     SourceFault.COUNTS_HALF: "{source} count half of the distance",
     SourceFault.COUNTS_BACKWARDS: "{source} count backwards",
+    SourceFault.LEFT_FAILED: "the left sprocket and motion disagree",
+    SourceFault.RIGHT_FAILED: "the right sprocket and motion disagree",
 }
 _FAILURES, BRAKE_NAME = "{source} and motion disagree", "swing brake"
 _BRAKE_WORDS = {

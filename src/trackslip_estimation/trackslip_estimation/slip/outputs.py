@@ -26,7 +26,7 @@ from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.motion import Motion, steady_speeds
 from trackslip_estimation.slip.records import TRACKS
-from trackslip_estimation.slip.source_faults import is_miscounting
+from trackslip_estimation.slip.source_faults import IS_LEFT_FAILED, is_partly_failed
 from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.tilt import fill_tilt
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 
 _UNKNOWN = int(Motion.UNKNOWN)
+_ANY_SLIP = 1.0 / 3.0  # second moment of a slip that is uniform between 0 and 1
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a uniform direction within half a turn
 
 
@@ -46,7 +47,7 @@ def fill_estimate(state: State, c: Config, estimate: EstimateRecord) -> None:
     fill_tilt(state, estimate)
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
-    if is_miscounting(state.fault[TRACKS]):  # the soil estimator uses the sprockets as measured
+    if is_partly_failed(state.fault[TRACKS]):  # the soil estimator uses the sprockets as measured
         estimate.motion = _UNKNOWN
 
 
@@ -100,6 +101,9 @@ def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
     if _are_slips_unknown(state, c):  # the ground may have changed, for each track
         slip_covariance[0, 0] += c.events.slip_stddev**2
         slip_covariance[1, 1] += c.events.slip_stddev**2
+    if state.one_sprocket:  # an encoder that fails says nothing of the slip, and a track may spin
+        side = 0 if state.fault[TRACKS] == IS_LEFT_FAILED else 1
+        slip_covariance[side, side] += _ANY_SLIP
     if variance > 0.0:
         stddev = math.sqrt(variance)
         by_left = (

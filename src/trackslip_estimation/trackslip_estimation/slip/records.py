@@ -176,6 +176,7 @@ class State(Record):
     coasting: bool  # whether the sprockets have timed out
     sample: SprocketSample
     time_since_sample: float  # s, at the middle of a step that extrapolates the speeds of the sample
+    one_sprocket: bool  # whether one sprocket and a gyro give both speeds (``one_sprocket``)
     consistent_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that did not contradict
     rejected_ns: Annotated[IntArray, MOST_SOURCES]  # time of rejections since then, without silences
     received_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest measurement; NEVER_NS of poses
@@ -250,7 +251,7 @@ class EventRecord(Record):
     """An event of a branch, and the step in which it opened states.
 
     ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; ``HIDDEN``,
-    ``STUCK``, or the fault of sprockets that miscount; ``ANGLES``: the fault of the source's angles ended,
+    ``STUCK``, or the fault of sprockets that partly fail; ``ANGLES``: the fault of the source's angles ended,
     not that of its positions. ``value`` is the standard deviation, m, of a skid, an offset, or a displaced
     machine. Of a slip or a bias that changed earlier it is the time since then, s, in which the offset of a
     coarse receiver absorbed it.
@@ -276,6 +277,7 @@ class Snapshot(Record):
     entry: int
     slot: int  # number of the branch in the row of that entry
     weight: float  # w at that entry
+    turn_cost: float  # of the branch at that entry
     fixes: int  # number of fixes since then
 
 
@@ -292,6 +294,7 @@ class Branch(Record):
     fresh: int  # 0 or 1: created by this measurement
     cusum: Annotated[FloatArray, 4]  # of innovations: ahead, behind, left, right
     slip_cost: float  # by which an implausible slip has lowered w since it was plausible
+    turn_cost: float  # the same by an implausible turn
     course: float  # q of ``bank.course``: how strongly fixes confirm the heading
     course_ns: int  # stamp of the latest fix that agreed
     course_from: Annotated[FloatArray, 3]  # ``displacement`` of the state at the latest fix, m; heading, rad

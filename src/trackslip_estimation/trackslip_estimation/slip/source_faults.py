@@ -41,6 +41,8 @@ class SourceFault(IntEnum):
     HEADING_REPEATS = 10  # headings of fixes are constant; none is used
     COUNTS_HALF = 11  # sprockets measure half of the motion
     COUNTS_BACKWARDS = 12  # sprockets measure the opposite motion
+    LEFT_FAILED = 13  # the left sprocket does not measure the motion; the right one does
+    RIGHT_FAILED = 14
 
 
 (
@@ -57,6 +59,8 @@ class SourceFault(IntEnum):
     IS_HEADING_REPEATING,
     IS_COUNTING_HALF,
     IS_COUNTING_BACKWARDS,
+    IS_LEFT_FAILED,
+    IS_RIGHT_FAILED,
 ) = map(int, SourceFault)
 
 
@@ -89,14 +93,20 @@ def is_displacement_measured(fault: int) -> bool:
 
 @compiled
 def is_failed(fault: int) -> bool:
-    """Whether a unit does not measure the motion, or only to a factor."""
-    return bool(fault == IS_FAILED or is_miscounting(fault))
+    """Whether a unit does not measure the motion, or only a part of it."""
+    return bool(fault == IS_FAILED or is_partly_failed(fault))
 
 
 @compiled
-def is_miscounting(fault: int) -> bool:
-    """Whether sprockets measure the motion to a factor."""
+def is_partly_failed(fault: int) -> bool:
+    """Whether sprockets measure the motion to a factor, or only one of them measures it."""
     return fault >= IS_COUNTING_HALF
+
+
+@compiled
+def is_one_failed(fault: int) -> bool:
+    """Whether only one of the sprockets measures the motion."""
+    return fault >= IS_LEFT_FAILED
 
 
 @compiled

@@ -10,7 +10,8 @@ and a first sample within the timeout, the speeds are those of that sample, with
 (``coasting.inflate_start_pose``).
 
 While a branch assumes that the sprockets have failed (``events.FAILED``), all time is silence. While it
-assumes that they miscount, the speeds are those measured times ``count_factor``.
+assumes that they miscount, the speeds are those measured times ``count_factor``; while it assumes that one
+has failed, the speed of its track follows from the other one and a gyro (``one_sprocket``).
 
 Speeds are differences of positions where the positions are continuous; else the speeds of the closing sample.
 Both are filtered by their quantisation (``counts``).
@@ -28,8 +29,9 @@ from typing import TYPE_CHECKING
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.counts import begin_counts, filter_counts, store_counts
+from trackslip_estimation.slip.one_sprocket import set_missing_speed
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
-from trackslip_estimation.slip.source_faults import IS_FAILED, count_factor, is_miscounting
+from trackslip_estimation.slip.source_faults import IS_FAILED, count_factor, is_one_failed, is_partly_failed
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -56,7 +58,8 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
     if not sample.known:
         return int(sample.stamp_ns)
     _copy_speeds(sample.speeds, speeds)
-    _correct_counts(speeds, state.fault[TRACKS])
+    if not _correct_speeds(state, c):
+        return NEVER_NS
     known_ns = int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
     state.time_since_sample = ((state.stamp_ns - sample.stamp_ns) + (known_ns - sample.stamp_ns)) / 2.0 * 1e-9
     return known_ns
@@ -66,21 +69,22 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
 def close_interval(state: State, closing: MeasurementRecord, c: Config) -> bool:
     """Set ``state.speeds`` to the mean speeds up to the sample ``closing``; return whether they are known."""
     is_known = _set_interval_speeds(state.sample, closing, c, state.speeds)
-    if is_known:
-        _correct_counts(state.speeds, state.fault[TRACKS])
-    return bool(is_known)
+    return bool(is_known and _correct_speeds(state, c))
 
 
 @compiled
-def _correct_counts(speeds: SpeedsRecord, fault: int) -> None:
-    """Correct measured speeds by the factor of sprockets that miscount."""
-    if is_miscounting(fault):
+def _correct_speeds(state: State, c: Config) -> bool:
+    """Correct measured speeds by the fault that the branch assumes; return whether they are known."""
+    speeds, fault = state.speeds, state.fault[TRACKS]
+    state.one_sprocket = is_one_failed(fault)
+    if state.one_sprocket:
+        return bool(set_missing_speed(state, speeds, fault, c))
+    if is_partly_failed(fault):
         factor = count_factor(fault)
         speeds.left, speeds.right = factor * speeds.left, factor * speeds.right
-        speeds.variance, speeds.angle_variance = (
-            factor**2 * speeds.variance,
-            factor**2 * speeds.angle_variance,
-        )
+        speeds.variance *= factor**2
+        speeds.angle_variance *= factor**2
+    return True
 
 
 @compiled

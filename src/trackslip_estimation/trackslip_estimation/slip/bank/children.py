@@ -25,13 +25,22 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_earlier_children,
     make_failed_unit_child,
     make_failure_children,
+    make_one_sprocket_children,
     make_recovered_sector_children,
     make_sector_children,
     make_source_fault_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
 from trackslip_estimation.slip.bank.offset_jumps import is_offset_jump_due, make_offset_jump_children
-from trackslip_estimation.slip.bank.plausibility import PERIOD, implausibility, is_stuck, slip_range_penalty
+from trackslip_estimation.slip.bank.plausibility import (
+    PERIOD,
+    USUAL_PENALTY,
+    implausibility,
+    is_stuck,
+    slip_range_penalty,
+    total_turn_reduction,
+    turn_range_penalty,
+)
 from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
 from trackslip_estimation.slip.events import (
     ANGLES,
@@ -187,6 +196,10 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     periods = min(elapsed_s / PERIOD, 1.0)
     slip_cost = slip_range_penalty(state, c) * periods
     branch.slip_cost = branch.slip_cost + slip_cost if slip_cost > 0.0 else 0.0
+    if state.motion.motion != _STANDING and not state.motion.changing:  # else the machine lags behind
+        paid, excess = total_turn_reduction(branch.turn_cost), turn_range_penalty(state, c) - USUAL_PENALTY
+        branch.turn_cost = max(branch.turn_cost + excess * periods, 0.0)
+        branch.weight -= total_turn_reduction(branch.turn_cost) - paid
     branch.weight -= implausibility(state, c) * periods
     follows = measurement.kind == POSE and is_displacement_measured(fault)
     if measurement.kind == VELOCITY:  # at standstill slip is not observable
@@ -226,7 +239,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if has_wandering_offset(before, m.source, c) or has_hidden_heading_fault(before, m.source):
         return True
-    if _is_slip_implausible(window, s, k, c):
+    if _is_slip_implausible(window, s, k, c) or _is_turn_cost_due(window, s, k, c):
         return True
     shows_motion = m.kind in (POSE, VELOCITY) and is_trusted(before, m.source, m.kind)
     if shows_motion and _is_repeated_in_motion(window, s, k, c):
@@ -280,6 +293,9 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
     failed = log_odds_of_hidden_change(window, p, k, FAILED, c)
     if failed > -c.bank.spawns:
         add_child(window, p, k, FAILED, TRACKS, HIDDEN, True, failed, c)
+    if _is_turn_cost_due(window, p, k, c):
+        make_one_sprocket_children(window, p, k, 0.0, c)
+        make_failed_unit_child(window, p, k, GYROS, 0.0, c)
     late = _log_odds_of_stamp_delay(m, before, c)
     if late > 0.0:
         add_child(window, p, k, LATE, source, 0, False, late, c)
@@ -308,6 +324,14 @@ def _is_slip_implausible(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether k is a fix, and the slip of branch p is 1 σ outside its physical range before it."""
     is_fix = window.measurements[k].kind == POSE
     return bool(is_fix and slip_range_penalty(window.states[p, k - 1], c) > 0.5)
+
+
+@compiled
+def _is_turn_cost_due(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether an implausible turn has cost branch p another multiple of what a failed sprocket would."""
+    failed = -c.log_rates[FAILED, TRACKS]
+    now, before = window.branches[p, k].turn_cost // failed, window.branches[p, k - 1].turn_cost // failed
+    return bool(window.measurements[k].kind in (POSE, VELOCITY) and now > before)
 
 
 @compiled

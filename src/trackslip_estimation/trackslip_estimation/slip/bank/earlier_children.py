@@ -16,7 +16,7 @@ from trackslip_estimation.slip.bank.child import (
     log_time_since_snapshot,
 )
 from trackslip_estimation.slip.bank.course import log_odds_against_turn
-from trackslip_estimation.slip.bank.plausibility import is_stuck
+from trackslip_estimation.slip.bank.plausibility import is_stuck, is_turn_implausible, total_turn_reduction
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of
 from trackslip_estimation.slip.events import (
@@ -56,11 +56,13 @@ from trackslip_estimation.slip.source_faults import (
     IS_COUNTING_BACKWARDS,
     IS_COUNTING_HALF,
     IS_HEALTHY,
+    IS_LEFT_FAILED,
     IS_REPEATING,
+    IS_RIGHT_FAILED,
     IS_STAYING,
     can_be_repetition,
     has_fault,
-    is_miscounting,
+    is_partly_failed,
     is_trusted,
 )
 from trackslip_estimation.slip.source_offsets import (
@@ -77,8 +79,8 @@ if TYPE_CHECKING:
 
 _LOG_SECTORS = math.log(HEADINGS)
 _IMPOSSIBLE = 30.0  # ln of the odds against another heading, beyond which no other one is tried
-_MISCOUNTS = IS_COUNTING_HALF, IS_COUNTING_BACKWARDS
-_LOG_MISCOUNTS = math.log(len(_MISCOUNTS))
+_MISCOUNTS, _ONE_FAILED = (IS_COUNTING_HALF, IS_COUNTING_BACKWARDS), (IS_LEFT_FAILED, IS_RIGHT_FAILED)
+_LOG_PARTS = math.log(2.0)
 _FARTHER_FIXES = 3  # consecutive fixes that contradict the tracks: more than outliers do
 _FARTHER_STDDEVS = 3.0  # standard deviations of that displacement, beyond which it is longer
 
@@ -220,6 +222,22 @@ def make_failure_children(window: Window, p: int, k: int, penalty: float, c: Con
             add_child_since_snapshot(window, p, k, REPEATS, other, 0, -penalty, c)
     if before.fault[TRACKS] == IS_HEALTHY and not shows_standstill(before.sample, c):
         _make_miscounting_children(window, p, k, penalty, c)
+        if is_turn_implausible(before, c):
+            make_one_sprocket_children(window, p, k, penalty, c)
+
+
+@compiled
+def make_one_sprocket_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+    """Add children in which one sprocket has not measured the motion since the snapshot."""
+    odds = _turn_cost_at_snapshot(window, p, k) - _LOG_PARTS - penalty
+    for part in _ONE_FAILED:
+        add_child_since_snapshot(window, p, k, FAILED, TRACKS, part, odds, c)
+
+
+@compiled
+def _turn_cost_at_snapshot(window: Window, p: int, k: int) -> float:
+    """Cost of an implausible turn up to the snapshot, which children do not pay that explain it."""
+    return float(total_turn_reduction(window.branches[p, k - 1].snapshots[OLDER].turn_cost))
 
 
 @compiled
@@ -230,7 +248,7 @@ def _make_miscounting_children(window: Window, p: int, k: int, penalty: float, c
     prior of the branch.
     """
     slip = window.states[p, k - 1].mean[COMMON_SLIP]
-    rate = c.log_rates[FAILED, TRACKS] - _LOG_MISCOUNTS
+    rate = c.log_rates[FAILED, TRACKS] - _LOG_PARTS
     prior = log_time_since_snapshot(window, p, k, c) + rate - penalty
     for part in _MISCOUNTS:
         log_prior = prior
@@ -255,8 +273,9 @@ def make_failed_unit_child(window: Window, p: int, k: int, unit: int, penalty: f
     if c.shows_motion[unit] == 0 or not _can_show_failure(window, p, k, unit, c):
         return
     if fault == IS_HEALTHY:
-        add_child_since_snapshot(window, p, k, FAILED, unit, 0, -penalty, c)
-    elif is_miscounting(fault):  # by another fault
+        paid = _turn_cost_at_snapshot(window, p, k) if unit in (TRACKS, GYROS) else 0.0
+        add_child_since_snapshot(window, p, k, FAILED, unit, 0, paid - penalty, c)
+    elif is_partly_failed(fault):  # by another fault
         add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
 
 

@@ -46,7 +46,7 @@ from trackslip_estimation.slip.events import (
 )
 from trackslip_estimation.slip.late_stamps import inflate_delay, reset_delay
 from trackslip_estimation.slip.levers import is_heading_unknown, is_sum_known, to_sensor_position
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.dispatch import couple_turn_states, has_velocity_errors
 from trackslip_estimation.slip.models.model import (
     DOWNHILL,
     FIX_DELAY,
@@ -58,7 +58,7 @@ from trackslip_estimation.slip.models.model import (
     X,
     Y,
 )
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, TURN_STATE_2
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, TURN_STATE_1, TURN_STATE_2
 from trackslip_estimation.slip.observations.heading import compass_offset
 from trackslip_estimation.slip.records import BRAKE, GYROS, TRACKS
 from trackslip_estimation.slip.source_faults import (
@@ -73,7 +73,8 @@ from trackslip_estimation.slip.source_faults import (
     IS_SCATTERING,
     IS_STAYING,
     IS_WANDERING,
-    is_miscounting,
+    is_one_failed,
+    is_partly_failed,
 )
 from trackslip_estimation.slip.source_offsets import (
     has_mostly_correlated_errors,
@@ -169,7 +170,7 @@ def _set_source_fault(state: State, e: EventRecord) -> None:
         state.heading_fault_ns[source], state.heading_fault[source] = state.stamp_ns, fault
     elif fault != _NOT_ABOUT_SOURCE:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, fault
-        if e.event == FAILED and is_miscounting(e.part):
+        if e.event == FAILED and is_partly_failed(e.part):
             state.fault[source] = e.part
 
 
@@ -296,7 +297,9 @@ def _inflate_failed_state(state: State, e: EventRecord, c: Config) -> int:
         state.covariance[SWING_RATE, SWING_RATE] += c.swing.fastest**2
     elif e.source < TRACKS:
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
-    elif e.source == TRACKS and is_miscounting(e.part):
+    elif e.source == TRACKS and is_one_failed(e.part):
+        return _reset_turning(state, c)
+    elif e.source == TRACKS and is_partly_failed(e.part):
         source = latest_pose_source(state, c)
         moved = 0
         if has_mostly_correlated_errors(state, source, c):
@@ -307,6 +310,16 @@ def _inflate_failed_state(state: State, e: EventRecord, c: Config) -> int:
     elif e.source == TRACKS:
         return _reset_sector(state, c)
     return 0
+
+
+@compiled
+def _reset_turning(state: State, c: Config) -> int:
+    """Reset turn states and i₀, which seemed to change when a sprocket failed; return the reset states."""
+    reset_states = 0
+    for k in (TURN_STATE_1, TURN_STATE_2, COMMON_SLIP):
+        reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
+    couple_turn_states(state.covariance[:], c.prior_variance[TURN_STATE_1], c)
+    return reset_states
 
 
 @compiled

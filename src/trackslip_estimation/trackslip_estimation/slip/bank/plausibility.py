@@ -12,6 +12,9 @@ itself lowers ln of the branch's weight, once in ``PERIOD``.
 
 Tracks that grip turn the machine too, and tracks that spin do not: e/(1 − i₀) is between
 ``_LEAST_EFFICIENCY`` and 1. Sprockets that do not measure the motion show its yaw rate by chance only.
+On some ground a machine hardly turns, and it does so for long. So a turning efficiency outside its range, by
+a gyro, costs a branch no more than ``_MOST_TURN_COST`` in all: the *turn cost*, a cumulative sum (CUSUM) of
+z²/2 less its mean ½. Branches in which a sprocket or the gyro fails do not pay it.
 """
 
 from __future__ import annotations
@@ -25,19 +28,25 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
 from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.slope import is_on_slope
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, YAW_RATE_ERROR
+from trackslip_estimation.slip.one_sprocket import latest_rate
 from trackslip_estimation.slip.records import TRACKS
-from trackslip_estimation.slip.source_faults import IS_FAILED, has_staying_fixes
+from trackslip_estimation.slip.source_faults import IS_FAILED, has_staying_fixes, is_one_failed
+from trackslip_estimation.slip.sprockets import shows_standstill
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
 PERIOD = 0.5  # s, correlation time of the motion
+USUAL_PENALTY = 0.5  # of a normal deviate, z²/2
 _MOST_LEVEL_SLIP = 1.0  # i₀ of a stuck machine
 _LEAST_RATE = 0.1  # rad/s, of D in a turn
 _LEAST_EFFICIENCY = 0.25  # e/(1 − i₀) of a machine with long tracks on ground that grips well
 _LARGEST_REDUCTION = 3.0  # by an implausible turn: the machine lags behind its tracks, and encoders err
+_MOST_TURN_COST = 5.0  # ln of the odds of failed sprockets against ground on which the machine hardly turns
 _RATE_SHARE = 0.15  # of the yaw rate, standard deviation of what the tracks predict
+_RATE_NOISE = 0.02  # rad/s
+_SLIP_DIFFERENCE = 0.15  # standard deviation of the difference of both slips
 _RATE_RANGE = 2.0  # rad/s, range of what failed sprockets show
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -61,7 +70,7 @@ def implausibility(state: State, c: Config) -> float:
     """Reduction of ln of a branch's weight for the motion that it assumes."""
     if not has_velocity_errors(c):
         return 0.0
-    if state.fault[TRACKS] == IS_FAILED:
+    if state.fault[TRACKS] == IS_FAILED or is_one_failed(state.fault[TRACKS]):
         return min(_chance_agreement(state, c), _LARGEST_REDUCTION)
     in_turn = _turn_penalty(state, c) + _speed_penalty(state, c)
     return slip_range_penalty(state, c) + min(in_turn, _LARGEST_REDUCTION)
@@ -115,6 +124,34 @@ def _turn_penalty(state: State, c: Config) -> float:
 
 
 @compiled
+def turn_range_penalty(state: State, c: Config) -> float:
+    """The reduction for a turning efficiency, by a gyro, outside its physical range."""
+    left, right = c.rolling_radius * state.speeds.left, c.rolling_radius * state.speeds.right
+    rate, D, grip = latest_rate(state, c), (right - left) / c.tread, 1.0 - state.mean[COMMON_SLIP]
+    if state.coasting or math.isnan(rate) or not has_velocity_errors(c):
+        return 0.0
+    with_tracks = math.copysign(rate, rate * D)
+    beyond = with_tracks - max(grip, 0.0) * abs(D)
+    excess = max(_LEAST_EFFICIENCY * grip * abs(D) - with_tracks, beyond, 0.0)
+    by_slip = max(_SLIP_DIFFERENCE**2, 2.0 * state.adaptation.track_variance) * (left + right) ** 2 / 4.0
+    variance = (c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]) * D**2
+    variance += by_slip / c.tread**2 + state.covariance[GYRO_BIAS, GYRO_BIAS] + _RATE_NOISE**2
+    return float(min(excess * excess / (2.0 * variance), _LARGEST_REDUCTION))
+
+
+@compiled
+def total_turn_reduction(turn_cost: float) -> float:
+    """Reduction of ln of a branch's weight by all of an implausible turn, whose cause lasts."""
+    return min(turn_cost, _MOST_TURN_COST)
+
+
+@compiled
+def is_turn_implausible(state: State, c: Config) -> bool:
+    """Whether the turning efficiency by a gyro is 1 σ outside its physical range."""
+    return bool(turn_range_penalty(state, c) > USUAL_PENALTY)
+
+
+@compiled
 def _twist_component(state: State, k: int, c: Config) -> tuple[float, float]:
     """v_x, v_y or ω of a branch, m/s or rad/s, and its variance."""
     x, left, right = state.mean[: c.size], state.speeds.left, state.speeds.right
@@ -125,15 +162,23 @@ def _twist_component(state: State, k: int, c: Config) -> tuple[float, float]:
 @compiled
 def _chance_agreement(state: State, c: Config) -> float:
     """ln of the odds that sprockets which show the yaw rate measure it, against failed ones; at least 0."""
-    sample, P = state.sample, state.covariance
-    if not (sample.known and state.coasting):
+    sample, is_one = state.sample, is_one_failed(state.fault[TRACKS])
+    if not sample.known or (shows_standstill(sample, c) if is_one else not state.coasting):
         return 0.0
-    x = state.mean[: c.size].copy()
-    rate = x[YAW_RATE_ERROR]
-    x[YAW_RATE_ERROR] = 0.0
-    shown = twist(x, sample.speeds.left, sample.speeds.right, c)[2]
-    if abs(shown) < _LEAST_RATE:
+    rate, variance = latest_rate(state, c), _RATE_NOISE**2
+    if not is_one:
+        rate, variance = _twist_component(state, 2, c)
+    shown = _shown_rate(state, c)
+    if math.isnan(rate) or (abs(shown) < _LEAST_RATE and not is_one):
         return 0.0
-    variance = P[YAW_RATE_ERROR, YAW_RATE_ERROR] + P[GYRO_BIAS, GYRO_BIAS] + (_RATE_SHARE * shown) ** 2
+    variance += state.covariance[GYRO_BIAS, GYRO_BIAS] + (_RATE_SHARE * shown) ** 2
     healthy = -((shown - rate) ** 2) / (2.0 * variance) - (math.log(variance) + _LOG_TWO_PI) / 2.0
     return float(max(healthy + math.log(_RATE_RANGE), 0.0))
+
+
+@compiled
+def _shown_rate(state: State, c: Config) -> float:
+    """Yaw rate that the latest sample shows, rad/s."""
+    x = state.mean[: c.size].copy()
+    x[YAW_RATE_ERROR] = 0.0
+    return float(twist(x, state.sample.speeds.left, state.sample.speeds.right, c)[2])

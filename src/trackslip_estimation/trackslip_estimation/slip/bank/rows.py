@@ -145,7 +145,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
     copy_error_models(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
     branch.weight, branch.events, branch.fresh = 0.0, 0, 0
-    branch.cusum[:], branch.slip_cost = 0.0, 0.0
+    branch.cusum[:], branch.slip_cost, branch.turn_cost = 0.0, 0.0, 0.0
     branch.course, branch.course_ns, branch.course_from[:] = 0.0, NEVER_NS, 0.0
     _reset_snapshots(window, 0, k)
 
@@ -262,6 +262,7 @@ def _reset_snapshots(window: Window, s: int, k: int) -> None:
     branch = window.branches[s, k]
     for snapshot in branch.snapshots:
         snapshot.entry, snapshot.slot, snapshot.weight, snapshot.fixes = k, s, branch.weight, 0
+        snapshot.turn_cost = branch.turn_cost
 
 
 @compiled

@@ -256,9 +256,10 @@ def error_variances(x: FloatArray, P: FloatArray, state: State, c: Config) -> tu
         rounding = c.rolling_radius**2 * rounding_variance(e.time, speeds)
         of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
     extrapolated = state.time_since_sample / c.unknown_time
+    unknown_rate = 1.0 if state.one_sprocket else extrapolated  # a gyro measures it
     return (
         of_speed + extrapolated * c.unknown_speed**2,
-        of_rate / (c.tread * c.tread) + extrapolated * c.unknown_yaw_rate**2,
+        of_rate / (c.tread * c.tread) + unknown_rate * c.unknown_yaw_rate**2,
     )
 
 
