@@ -77,6 +77,15 @@ def test_gateway_that_cannot_be_reached_has_its_own_remedy(domain):
     assert "(Connection refused); check can_host and can_port, and that socketcand runs there" in message
 
 
+@pytest.mark.parametrize("interface", ["pcan", "kvaser", "vector", "gs_usb", "neovi"])
+def test_interface_without_its_library_has_the_remedy_to_install_it(domain, interface):
+    with started(CanDriverNode, domain, can_interface=interface, can_channel="0") as node:
+        wait_for(lambda: node.link.state().errors)
+        message = node.health()[0].message
+    assert f"{interface} without its library" in message
+    assert message.endswith(f"; install the library of {interface}, or set can_interface to socketcan")
+
+
 def test_adapter_on_a_serial_port_that_is_absent_has_the_remedy_of_the_port(domain, tmp_path):
     with started(
         CanDriverNode, domain, can_interface="slcan", can_channel=str(tmp_path / "none"), can_bitrate=250000

@@ -26,7 +26,7 @@ from trackslip_drivers.protocols.encoder import EncoderEvent
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan, PairingRejection
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.stamping import StampEvent
-from trackslip_drivers.transports.can_bus import CanBus, CanFrame
+from trackslip_drivers.transports.can_bus import NO_LIBRARY, CanBus, CanFrame
 
 _BODY_FRAME = "base_link"
 _SET_UP = "ip link set {} up type can bitrate 250000 restart-ms 100"  # as in deploy/systemd
@@ -121,6 +121,8 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
         channel = self.settings.can_channel
         if self.settings.can_interface == "socketcand" and error:
             return "check can_host and can_port, and that socketcand runs there"
+        if NO_LIBRARY in error:
+            return f"install the library of {self.settings.can_interface}, or set can_interface to socketcan"
         if self.settings.can_interface != "socketcan":
             return super().port_remedy(error)
         if error == os.strerror(errno.ENODEV):

@@ -23,6 +23,7 @@ REMOTE_FLAG = 1 << 30
 _SEND_TIMEOUT_S = 0.1
 _CONNECT_TIMEOUT_S = 2.0
 _CLASSIC_BYTES = 8
+NO_LIBRARY = "without its library"  # text of the error of an interface that this computer lacks
 
 for _name in ("can.bus", "can.interfaces"):  # else they warn of buses that did not open
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -47,7 +48,7 @@ class CanBus:
         self._is_text = interface == "slcan"
         if interface == "socketcand" and "host" in options:  # python-can tries for 10 s without a pause
             socket.create_connection((options["host"], options["port"]), _CONNECT_TIMEOUT_S).close()
-        self._bus = can.Bus(channel=channel, interface=interface, **options)
+        self._bus = _open(interface, channel, options)
         if interface == "udp_multicast":
             try:
                 _bind_to_loopback(self._bus.fileno(), channel)
@@ -103,6 +104,16 @@ class CanBus:
     def close(self) -> None:
         """Release the bus."""
         self._bus.shutdown()
+
+
+def _open(interface: str, channel: str, options: Mapping[str, Any]) -> can.BusABC:
+    """The bus of python-can; without the library of an interface each raises another kind of error."""
+    try:
+        return can.Bus(channel=channel, interface=interface, **options)
+    except (ImportError, NotImplementedError, NameError, OSError) as error:
+        if isinstance(error, OSError) and (type(error) is not OSError or error.errno is not None):
+            raise  # of the system, or of a serial port
+        raise can.CanInterfaceNotImplementedError(f"{interface} {NO_LIBRARY}: {error}") from None
 
 
 def _bind_to_loopback(descriptor: int, group: str) -> None:
