@@ -4,6 +4,7 @@
 
 import errno
 import os
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -110,3 +111,19 @@ def test_another_bag_begins_once_a_full_disk_can_be_written_again(
     assert node.has_failed
     with open_bag(tmp_path / "bag_2") as bag:
         assert bag.topics["/topic"].count == 1
+
+
+def test_no_bag_begins_on_a_disk_with_room_for_a_few_seconds_only(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a log that is rotated now and then leaves a tiny bag every 30 s, all day."""
+    monkeypatch.setattr("trackslip_bags.nodes.record._RETRY_PERIOD", 0.0)
+    with started(RecordNode, domain, output=str(tmp_path / "bag")) as node:
+        node._recording.disk_error = "cannot write (No space left on device)"
+        with monkeypatch.context() as nearly_full:
+            usage = shutil.disk_usage(tmp_path)._replace(free=1_000_000)
+            nearly_full.setattr("shutil.disk_usage", lambda _: usage)
+            node._save()
+        assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+        node._save()
+        assert (tmp_path / "bag_2").exists()

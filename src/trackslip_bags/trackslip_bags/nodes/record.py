@@ -3,6 +3,7 @@
 """``record``: writes the serialized messages of all project topics to an MCAP bag."""
 
 import re
+import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -21,6 +22,7 @@ from trackslip_common.nodes.run import run
 
 _SAVE_PERIOD = 0.5  # s
 _RETRY_PERIOD = 30.0  # s between attempts to begin another bag after a disk error
+_RETRY_SPACE = 50_000_000  # B free for another bag: ten minutes of a usual recording, 0.3 GB an hour
 _SHORT_MINUTES = 60.0  # until the disk is full, below which a warning is given
 _REPAIR = 0.4  # s for the repair of lost messages: twice the heartbeat period in config/fast*.xml
 _LONGEST_DRAIN = 1.5  # s
@@ -123,8 +125,9 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self._recording.save()
         if self._recording.disk_error and time.monotonic() - self._begun_s > _RETRY_PERIOD:
             self._begun_s = time.monotonic()
-            with suppress(InputError):  # the disk is still full, or gone
-                self._begin_bag(self._recording.losses)
+            with suppress(InputError, OSError):  # the disk is gone
+                if shutil.disk_usage(self._recording.bag.path.parent).free >= _RETRY_SPACE:
+                    self._begin_bag(self._recording.losses)
 
 
 def record(argv: Sequence[str] | None = None) -> int:
